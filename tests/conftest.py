@@ -88,20 +88,14 @@ def block():
     an even mesh.
     Further keywords go to `build_model`.
     """
-    from vsfsim.core.hexes import split_hexes
+    from frame_checks import ticked
+
     from vsfsim.physics.mesh.quadratic import gauss_points
-    from vsfsim.physics.mesh.structured import box, grid_hexes
+    from vsfsim.physics.mesh.structured import box
     from vsfsim.physics.model import build_model
 
     def make(size, resolution, *, young_modulus=1e5, poisson_ratio=0.45, fixed="bottom", ticks=None, **more):
-        if ticks is None:
-            vertices, tets = box(size, resolution)
-        else:
-            shape = tuple(len(t) for t in ticks)
-            vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-            number = np.arange(len(vertices))
-            tets, _ = split_hexes(grid_hexes(number.reshape(shape)),
-                                  np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
+        vertices, tets = box(size, resolution) if ticks is None else ticked(ticks)
         solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
         at = gauss_points(solid)
         values = young_modulus(at) if callable(young_modulus) else np.full(at.shape[:2], float(young_modulus))

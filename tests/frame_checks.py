@@ -1,9 +1,11 @@
-"""What holds for the numbers of any frames; where paths begin."""
+"""What holds for the numbers of any frames; where paths begin; blocks of any ticks."""
 
 import dataclasses
 
 import numpy as np
 
+from vsfsim.core.hexes import split_hexes
+from vsfsim.physics.mesh.structured import grid_hexes
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Frames
 
 
@@ -18,6 +20,15 @@ def numbers_stand_for_equilibria(frames):
             continue  # not known of this kind of body
         assert np.isfinite(values).all(), f.name
     assert (frames.unbalanced_force[frames.converged] == 0.0).all()
+
+
+def ticked(ticks):
+    """Vertices (n, 3) [m] and tetrahedra (m, 4) of a block whose grid lines along x, y and z are ``ticks`` [m]."""
+    shape = tuple(len(t) for t in ticks)
+    vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(vertices))
+    return vertices, split_hexes(grid_hexes(number.reshape(shape)),
+                                 np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)[0]
 
 
 def from_above(poses):

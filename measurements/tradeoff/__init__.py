@@ -22,6 +22,7 @@ from measurements.tradeoff.touches import DatasetTouches, Run, limits, sweep
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.system.interactive import new_figure
+from vsfsim.core.text_table import text_table
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade.setting import Setting
@@ -59,7 +60,8 @@ class Tradeoff:
 
     def text(self) -> str:
         """For the terminal."""
-        return "\n".join([f"{self.scene}: {self.what}", *self.limit, "", front.text(self.points),
+        return "\n".join([f"{self.scene}: {self.what}", *self.limit, "",
+                          text_table(*front.cells(self.points), right=True, left=2),
                           "* on the front   = the scene's own setting   x tier does not show the scene's needs", "",
                           *self.sentences(),
                           *(f"note: {key}: {why}" for key, why in self.refused.items())])

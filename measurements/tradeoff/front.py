@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from measurements.tradeoff.touches import Curve, Run
-from vsfsim.core.text_table import text_table
 from vsfsim.data.manifest import NOISE
 from vsfsim.generate.trade.setting import Setting
 from vsfsim.physics.convergence import Limit
@@ -167,11 +166,6 @@ def sentence(goal: float, points: Sequence[Point], missing: int = 0) -> str:
     best = min(known, key=lambda p: p.error + p.bar)
     return (f"{said}: not on this scene, the most exact setting, {best.key}, is off by "
             f"{100 * best.error:.2g} % (limit known to {100 * best.bar:.2g} %)")
-
-
-def text(points: Sequence[Point]) -> str:
-    """The table."""
-    return text_table(*cells(points), right=True, left=2)
 
 
 def cells(points: Sequence[Point]) -> tuple[list[str], list[list[str]]]:

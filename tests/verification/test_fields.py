@@ -5,14 +5,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from frame_checks import ticked
 
-from vsfsim.core.hexes import split_hexes
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics.elements.tet10_shape import shape_derivatives, shape_values
 from vsfsim.physics.laws.law import lame
 from vsfsim.physics.mesh.quadratic import gauss_points
-from vsfsim.physics.mesh.structured import box, grid_hexes
+from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
@@ -53,12 +53,7 @@ def load_of(mesh, deformation_gradient, modulus, nu):
 
 def distorted(cells, seed=0):
     """A block whose inner vertices are shifted by up to a fifth of a cell: no symmetry is left to help."""
-    ticks = [np.linspace(0.0, s, c + 1) for s, c in zip(SIZE, cells, strict=True)]
-    shape = tuple(len(t) for t in ticks)
-    vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(vertices))
-    tets, _ = split_hexes(grid_hexes(number.reshape(shape)),
-                          np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
+    vertices, tets = ticked([np.linspace(0.0, s, c + 1) for s, c in zip(SIZE, cells, strict=True)])
     inside = ((vertices > 1e-9) & (vertices < SIZE - 1e-9)).all(axis=1)
     vertices[inside] += 0.2 * np.random.default_rng(seed).uniform(-1, 1, (int(inside.sum()), 3)) * SIZE / cells
     return Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
