@@ -199,24 +199,25 @@ def leaderboard(results: Results = None, task: KnownTask = None, html: Path | No
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
 
-    pages, tables, boards = [], [], list[board.Board]()
+    boards = list[board.Board]()
     names = [task] if task else list(shelf.tasks())
     with Progress("leaderboard") as told:
         for name in names:
             told(len(boards), len(names), name)
             wanted = load_task(name)
-            paths = list(results or [])
-            if not paths and (Path("results") / wanted.name).is_dir():
-                paths = [Path("results") / wanted.name]
-            boards.append(found := board.collect(wanted, paths))
-            pages.append(board.text(found))
-            tables.append(board.table(found))
+            boards.append(board.collect(wanted, results or _own(wanted)))
+    text, tables = "\n\n".join(map(board.text, boards)), list(map(board.table, boards))
     if html is not None:
         from vsfsim.data.disk import write_atomic
 
         write_atomic(html, board.page(boards).encode(), error=TaskError)
-        pages = [f"written to {html}"]
-    report("\n\n".join(pages), tables[0] if task else tables, json)
+        text = f"written to {html}"
+    report(text, tables[0] if task else tables, json)
+
+
+def _own(task: Task) -> list[Path]:
+    """The folder of the results of a task that were made here, if there is one."""
+    return [folder] if (folder := Path("results") / task.name).is_dir() else []
 
 
 @command(app)
@@ -285,10 +286,8 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
     from measurements import audit as module
 
     wanted = load_task(task)
-    own = Path("results") / wanted.name
     with Progress("audit") as progress:
-        found = module.audit(wanted, results or ([own] if own.is_dir() else []), dataset=dataset, fresh=fresh or (),
-                             progress=progress)
+        found = module.audit(wanted, results or _own(wanted), dataset=dataset, fresh=fresh or (), progress=progress)
     report(module.text(found, f"{wanted.primary}, area under the curve"), asdict(found), json)
 
 
