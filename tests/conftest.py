@@ -1,7 +1,6 @@
 """What tests share: the device they run on, the command line in this process, and blocks ready for the solver; and how
 many processes they take."""
 
-import gc
 import os
 import subprocess
 import sys
@@ -42,12 +41,6 @@ def pytest_cmdline_main(config):
         if cores > 1:
             options.numprocesses = min(cores + 1, WORKERS)
             options.dist = "loadfile"
-
-
-def pytest_collection_finish(session):
-    """Fewer searches for circles, which leave out the libraries' 400,000 objects: a tenth of the time of some files."""
-    gc.set_threshold(50_000, 20, 50)
-    gc.freeze()
 
 
 @pytest.fixture

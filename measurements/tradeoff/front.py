@@ -121,7 +121,8 @@ def point(setting: Setting, run: Run, limits: Sequence[Mapping[str, Limit]],
                 for name, all_touches in found.items()}
     force, wanted = channels.get("force", {}), sum(limit["force"].known for limit in limits)
     error = force.get("worst", 0.0) if len(found.get("force", ())) == wanted else math.nan
-    marked = np.concatenate([_in_contact(c) for c in run.curves])
+    marked = np.concatenate([c.marked[(np.abs(np.nan_to_num(c.readings["force"])) > 0.0) | ~c.converged]
+                             for c in run.curves])
     return Point(setting.key, setting.tier, run.cpu / len(run.curves), run.cpu / run.frames + once * run.once,
                  run.once, float(marked.mean()) if len(marked) else 0.0, error, force.get("bar", 0.0), channels, shows,
                  own)
@@ -129,11 +130,6 @@ def point(setting: Setting, run: Run, limits: Sequence[Mapping[str, Limit]],
 
 def _rms(values: Sequence[float] | np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _in_contact(curve: Curve) -> np.ndarray:
-    force = np.abs(np.nan_to_num(curve.readings["force"]))
-    return curve.marked[(force > 0.0) | ~curve.converged]
 
 
 def with_front(points: Sequence[Point]) -> list[Point]:

@@ -12,7 +12,7 @@ from stems import crossing, plant, stem, touch
 from measurements.stability.elastica import elastica
 from vsfsim.core.plant import Plant
 from vsfsim.core.shape import Capsule
-from vsfsim.physics.rods.model import build
+from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import RodFrames, RodSolver
 from vsfsim.physics.solve.frames import Reason
 
@@ -126,7 +126,7 @@ def test_a_capsule_that_would_pass_between_the_lines_of_a_blade_is_refused():
     nodes = np.array([[0.0, 0.0, 0.1], [0.03, 0.0, 0.1], [0.08, 0.0, 0.1]])
     leaf = plant(nodes, [-1, 0, 1], radius=0.0005, half_width=np.array([0.0, 0.0, 0.02]),
                  blade_normal=np.array([0.0, 0.0, 1.0]))
-    with pytest.raises(AssertionError, match="pass between them"):
+    with pytest.raises(RodError, match="pass between them"):
         RodSolver([build(leaf)], [Capsule(0.004, 0.1)])
     RodSolver([build(leaf)], [Capsule(0.01, 0.1)])
 

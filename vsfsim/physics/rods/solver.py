@@ -17,7 +17,7 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.kernels.lanes import LANES
-from vsfsim.physics.rods.model import BLADE_SPACING, RodModel, RodOptions
+from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel, RodOptions
 from vsfsim.physics.rods.structs import (
     Limits,
     Results,
@@ -84,20 +84,32 @@ class RodSolver:
 
     Args:
         models: the plants.
-        shapes: the capsules, at most `MOST_CAPSULES`; one of length 0 is a ball. Where a plant has blades none is
-            thinner than `BLADE_SPACING`.
+        shapes: the capsules; one of length 0 is a ball.
         device: Warp device.
         options: limits.
+
+    Raises:
+        RodError: there is no plant or no capsule, a shape is not a capsule, there are too many, or a capsule is so thin
+            that it would slip between the contact fibres of a leaf blade.
     """
 
     def __init__(self, models: Sequence[RodModel], shapes: Sequence[Capsule], *, device: str = "cpu",
                  options: RodOptions | None = None):
         self.models, self.shapes = list(models), list(shapes)
         self.device, self.options = device, options or RodOptions()
-        assert self.models and 0 < len(self.shapes) <= MOST_CAPSULES
-        thin = [m for m in self.models if m.plant.half_width.max() > 0.0 and min(s.radius for s in self.shapes)
-                < BLADE_SPACING]
-        assert not thin, "blades are felt along lines so far apart: a thinner capsule would pass between them"
+        if not self.models or not self.shapes:
+            raise RodError("a rod solver needs at least one plant and one capsule.")
+        for shape in self.shapes:
+            if not isinstance(shape, Capsule):
+                raise RodError(f"plants are touched by capsules only, not by {shape!r}; give "
+                               f"vsfsim.core.shape.Capsule, of length 0 for a ball.")
+        if len(self.shapes) > MOST_CAPSULES:
+            raise RodError(f"{len(self.shapes)} capsules, at most {MOST_CAPSULES} can touch plants together.")
+        thinnest = min(shape.radius for shape in self.shapes)
+        if thinnest < BLADE_SPACING and any(m.plant.half_width.max() > 0.0 for m in self.models):
+            raise RodError(f"a capsule has a radius of {1e3 * thinnest:g} mm, and a plant has leaf blades, which are "
+                           f"felt along lines {1e3 * BLADE_SPACING:g} mm apart: it would pass between them. Give at "
+                           f"least that radius.")
         self.trees = make_trees(self.models, device)
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0,
@@ -112,13 +124,15 @@ class RodSolver:
             plan: number of the pose on the way of each frame (B, T); None for one frame a pose.
             keep_nodes: return the states of the nodes.
             progress: called with the number of frames newly done, launch by launch.
+
+        Raises:
+            RodError: shapes do not fit, or poses are not finite.
         """
         plant, poses = np.asarray(plant, np.int32), np.asarray(poses, float)
         p, b = len(poses), len(plant)
         plan = np.tile(np.arange(p), (b, 1)) if plan is None else np.asarray(plan)
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
-        assert poses.shape == (p, b, len(self.shapes), 4, 4) and np.isfinite(poses).all()
-        assert len(plan) == b and np.isin(plan, np.arange(p)).all()
+        self._check(b, poses, plan, friction)
         t, options = plan.shape[1], self.options
         sizes = {"B": b, "N": max(len(m.plant.nodes) for m in self.models), "T": t, "W": p, "K": len(self.shapes),
                  "C": options.room, "D": max(len(levels_of(m)[1]) for m in self.models) + 1,
@@ -147,6 +161,19 @@ class RodSolver:
                     progress(int(at["next"].sum()) - before)
                 before = int(at["next"].sum())
         return self._frames(plant, at["next"] - at["ended"], out, keep_nodes)
+
+    def _check(self, b: int, poses: np.ndarray, plan: np.ndarray, friction: np.ndarray) -> None:
+        p, k = len(poses), len(self.shapes)
+        if poses.shape != (p, b, k, 4, 4) or p == 0 or b == 0:
+            raise RodError(f"poses have the shape {poses.shape} for {b} touches and {k} capsules; give (T, {b}, "
+                           f"{k}, 4, 4).")
+        if not np.isfinite(poses).all():
+            raise RodError("a pose is not finite; leave out frames that the arm cannot reach.")
+        if plan.ndim != 2 or len(plan) != b or not np.isin(plan, np.arange(p)).all():
+            raise RodError(f"the plan has the shape {plan.shape} and numbers {plan.min():g} to {plan.max():g}; give "
+                           f"({b}, frames) whole numbers of the {p} poses, from 0.")
+        if not ((friction >= 0.0) & (friction <= 10.0)).all():
+            raise RodError(f"friction is {friction.min():g} to {friction.max():g}; it must be from 0 to 10.")
 
     def _frames(self, plant: np.ndarray, done: np.ndarray, out: Any, keep_nodes: bool) -> RodFrames:
         """What the touches of ``plant`` have given, of which ``done`` frames are kept."""
