@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from texts import text
 
 from measurements import tradeoff as command
 from measurements.tradeoff import front
@@ -136,14 +137,16 @@ def test_what_cannot_be_measured_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_costs_are_those_of_a_new_object_and_add_up_to_the_process(loaded):
+def test_costs_are_those_of_a_new_object_and_add_up_to_the_process(tmp_path):
     """Beside a process that takes the machine's time; a setting is not cheaper for what another one has made."""
+    (tmp_path / "small.toml").write_text(text("small"))
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
-        touches = DatasetTouches(loaded("small"), touches=2)
+        touches = DatasetTouches(load_scene(tmp_path / "small.toml"), touches=2)
         own = touches.own
-        settings = [own, dataclasses.replace(own, tolerance=1e-4), Setting("fem", own.resolution, level=0), own]
-        for setting in settings[1:]:
+        loose, small = dataclasses.replace(own, tolerance=1e-4), Setting("fem", own.resolution, level=0)
+        settings = [own, loose, own, small, own, own, loose, own, own]
+        for setting in (loose, small, own):
             touches.run(setting)  # kernels
         began = time.process_time()
         runs = [touches.run(setting) for setting in settings]
@@ -151,4 +154,6 @@ def test_costs_are_those_of_a_new_object_and_add_up_to_the_process(loaded):
     finally:
         busy.kill()
     assert sum(run.once + run.cpu for run in runs) == pytest.approx(spent, rel=0.1)
-    assert runs[-1].once + runs[-1].cpu == pytest.approx(runs[0].once + runs[0].cpu, rel=0.3)
+    # the least of three runs of a third of a second each, which a busy machine makes dearer by up to a half
+    after_itself, after_another = (min(runs[k].once + runs[k].cpu for k in at) for at in ((0, 5, 8), (2, 4, 7)))
+    assert after_itself == pytest.approx(after_another, rel=0.3)
