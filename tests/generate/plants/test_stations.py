@@ -19,7 +19,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.core.system.exact import snapped
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
-from vsfsim.generate.plants.aim import SPAN, NothingReached, visible_branches
+from vsfsim.generate.plants.aim import APART, SPAN, NothingReached, visible_branches
 from vsfsim.generate.plants.subject import grow
 from vsfsim.generate.plants.touches import agrees
 from vsfsim.robot.reach import Reason, Unreachable
@@ -39,8 +39,8 @@ def plant(tmp_path_factory):
     return grow(load_scene(scene(tmp_path_factory.mktemp("plant"))).sample(0), 0)
 
 
-def test_parts_of_a_branch_follow_each_other_along_it(plant):
-    """The visible points of a branch, in three parts, none of another branch."""
+def test_points_of_a_branch_have_their_places_along_it(plant):
+    """The visible points of a branch and their places, few of another branch."""
     rng, points, owner = np.random.default_rng(0), [], []
     for i in range(1, len(plant.nodes)):
         share = rng.uniform(size=(20, 1))
@@ -48,17 +48,17 @@ def test_parts_of_a_branch_follow_each_other_along_it(plant):
         points.append(a + share * (plant.nodes[i] - a))
         owner += [plant.look[i]] * 20
     cloud, owner = np.concatenate(points), np.array(owner)
-    branches = visible_branches(plant, cloud, 3)
+    branches = visible_branches(plant, cloud)
     assert branches
-    for parts in branches:
-        assert len(parts) == 3 and max(map(len, parts)) - min(map(len, parts)) <= 1
-        own = [owner[np.flatnonzero((cloud == point).all(axis=1))[0]] for part in parts for point in part]
-        assert np.mean(np.array(own) == np.bincount(own).argmax()) > 0.7  # where axes join, either may be nearer
-        ends = [part.mean(axis=0) for part in parts]
-        assert np.linalg.norm(ends[2] - ends[0]) > np.linalg.norm(ends[1] - ends[0]) > 0.0
-        span = np.concatenate(parts)
-        assert np.linalg.norm(span.max(axis=0) - span.min(axis=0)) >= 0.7 * SPAN
-    assert visible_branches(plant, plant.nodes[:1], 3) == []
+    for points, at in branches:
+        own = np.array([owner[np.flatnonzero((cloud == point).all(axis=1))[0]] for point in points])
+        mine = own == np.bincount(own).argmax()
+        assert mine.mean() > 0.7  # where axes join, either may be nearer
+        order = np.argsort(at[mine])
+        steps = np.linalg.norm(np.diff(points[mine][order], axis=0), axis=1)
+        np.testing.assert_allclose(steps, np.diff(at[mine][order]), atol=0.003)  # straight but for its bends
+        assert np.ptp(at) >= SPAN
+    assert visible_branches(plant, plant.nodes[:1]) == []
 
 
 def test_three_touches_in_turn_share_a_branch_and_any_may_be_drawn_alone(tmp_path):
@@ -71,11 +71,11 @@ def test_three_touches_in_turn_share_a_branch_and_any_may_be_drawn_alone(tmp_pat
     subject = prepare_job(jobs_of(recipe, loaded.path, tmp_path)[0], device="cpu")
     assert isinstance(recipe, Recipe) and len(subject.aims) == 6
     targets = [aim.target for aim in subject.aims]
-    branches = visible_branches(subject.plant, snapped(subject.view.points()), 3)
+    branches = visible_branches(subject.plant, snapped(subject.view.points()))
     for group in (targets[:3], targets[3:]):
-        found = [[k for k, part in enumerate(parts) for target in group if (part == target).all(axis=1).any()]
-                 for parts in branches]
-        assert [0, 1, 2] in map(sorted, found)
+        (places,) = [at[[(points == target).all(axis=1).argmax() for target in group]] for points, at in branches
+                     if all((points == target).all(axis=1).any() for target in group)]
+        assert (np.diff(np.sort(places)) >= APART).all()
 
 
 def test_a_fixed_pot_is_clamped(tmp_path):
@@ -122,6 +122,6 @@ def test_a_dataset_marks_what_flips_and_an_arm_that_sees_no_branch_is_told(tmp_p
     vsfsim.generate(scene(tmp_path, width=240, height=216), out=tmp_path / "data", objects=1, touches=3, seed=0)
     (view,) = [Dataset.open(tmp_path / "data").load(entry.name) for entry in Dataset.open(tmp_path / "data").entries]
     assert all(touch.resolved is not None and touch.resolved[0] for touch in view.touches)
-    with pytest.raises(SceneError, match="stems and branches"):
+    with pytest.raises(SceneError, match="stem or branch"):
         vsfsim.generate(scene(tmp_path, width=240, height=216, distance=1.1, base="[-3.0, 0.0, 0.2]"),
                         out=tmp_path / "none", objects=1, touches=3, seed=0)

@@ -46,8 +46,8 @@ class TouchSpec:
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
     stations: Annotated[int, between(1, 10, whole=True)] = 1
-    """Touches of an arm that go to one stem or branch each time, one to each of so many parts of its visible length, in
-    random order; 1: every touch goes to a place of its own."""
+    """So many touches of an arm in turn go to one stem or branch, 2 cm or more from each other along it; 1: every touch
+    goes to a place of its own."""
     level: bool = False
     """Press from the side: along the level part of minus the visible normal. A target whose normal is steeper than
     `STEEPEST` is drawn again."""

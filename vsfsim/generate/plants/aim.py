@@ -3,6 +3,7 @@ go."""
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,7 +22,9 @@ from vsfsim.robot.reach import Unreachable, straight_touch
 
 # targets that are tried for one touch: an arm that reaches a sixtieth of the points misses all with probability 5e-8
 DRAWS = 1000
-ON_BRANCH = 40  # the same for each part of one branch, before another branch is drawn
+ON_BRANCH = 100  # the same for each touch of one branch, before another branch is drawn
+ATTEMPTS = 100  # branches that are drawn for one group of touches
+APART = 0.02  # least distance of touches along one branch [m]
 SPAN = 0.06  # least visible length of a branch that is touched at several places [m]
 TURN = 0.6  # largest angle about +z between the tool's axis and the line from shoulder to target [rad]
 LIFT = 0.35  # largest angle by which the tool's axis is raised or lowered from that line [rad]
@@ -102,15 +105,15 @@ def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np
     draw, count = partial(_draw, arm, spec, touches, plant, where=where), touches.stations
     if count == 1:
         return [draw(cloud, stream(k)) for k in numbers]
-    branches = visible_branches(plant, cloud, count)
-    found = {number: [*_on_branch(draw, branches, stream(count * number), where)]
+    branches = visible_branches(plant, cloud)
+    found = {number: [*_on_branch(draw, branches, count, stream(count * number), where)]
              for number in sorted({k // count for k in numbers})}
     return [found[k // count][k % count] for k in numbers]
 
 
-def visible_branches(plant: Plant, cloud: np.ndarray, parts: int) -> list[list[np.ndarray]]:
-    """The visible points (n, 3) [m] of each stem or branch of which the cloud shows `SPAN` or more, in so many parts of
-    equal numbers along it."""
+def visible_branches(plant: Plant, cloud: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The visible points (n, 3) [m] of each stem or branch of which the cloud shows `SPAN` or more, and their places
+    along it (n,) [m]."""
     first, along = plant.nodes[plant.parent[1:]], plant.nodes[1:] - plant.nodes[plant.parent[1:]]
     gap, segment, place = np.full(len(cloud), np.inf), np.zeros(len(cloud), int), np.zeros(len(cloud))
     for i, (a, d) in enumerate(zip(first, along, strict=True), start=1):
@@ -122,29 +125,31 @@ def visible_branches(plant: Plant, cloud: np.ndarray, parts: int) -> list[list[n
     arc, size = np.zeros(len(plant.nodes)), plant.lengths()
     for i, parent in enumerate(plant.parent[1:], start=1):
         arc[i] = size[i] + (arc[parent] if look[parent] == look[i] else 0.0)
-    at = arc[segment] - (1.0 - place) * size[segment]
-    out = []
+    at, out = arc[segment] - (1.0 - place) * size[segment], []
     for axis in np.unique(look[1:][plant.half_width[1:] == 0.0]):
-        mine = np.flatnonzero(look[segment] == axis)
-        mine = mine[np.argsort(at[mine], kind="stable")]
-        if len(mine) >= parts and at[mine[-1]] - at[mine[0]] >= SPAN:
-            out.append([cloud[some] for some in np.array_split(mine, parts)])
+        mine = look[segment] == axis
+        if mine.any() and np.ptp(at[mine]) >= SPAN:
+            out.append((cloud[mine], at[mine]))
     return out
 
 
-def _on_branch(draw: Callable[..., ArmAim], branches: list[list[np.ndarray]], rng: np.random.Generator,
-               where: str) -> Iterator[ArmAim]:
-    """A touch of each part of one branch, in random order; a branch is drawn by the number of its visible points."""
-    size = np.array([sum(map(len, parts)) for parts in branches], float)
-    for _ in range(DRAWS // ON_BRANCH if len(size) else 0):
-        parts = branches[rng.choice(len(size), p=size / size.sum())]
-        try:
-            found = [draw(parts[k], rng, draws=ON_BRANCH) for k in rng.permutation(len(parts))]
-        except NothingReached:
-            continue
-        yield from found
-        return
-    why = f"none of the {len(size)} stems and branches of which the camera sees {100 * SPAN:g} cm can be reached"
+def _on_branch(draw: Callable[..., ArmAim], branches: list[tuple[np.ndarray, np.ndarray]], count: int,
+               rng: np.random.Generator, where: str) -> Iterator[ArmAim]:
+    """So many touches of one branch, `APART` from each other along it; a branch is drawn by the number of its visible
+    points."""
+    size = np.array([len(points) for points, _ in branches], float)
+    for _ in range(ATTEMPTS if len(size) else 0):
+        points, at = branches[rng.choice(len(size), p=size / size.sum())]
+        found: list[ArmAim] = []
+        with contextlib.suppress(NothingReached):
+            while len(found) < count and len(points):
+                found.append(draw(points, rng, draws=ON_BRANCH))
+                away = np.abs(at - at[(points == found[-1].target).all(axis=1)][0]) >= APART
+                points, at = points[away], at[away]
+        if len(found) == count:
+            yield from found
+            return
+    why = f"no stem or branch of the {len(size)} that the camera sees {100 * SPAN:g} cm of can be touched {count} times"
     raise NothingReached(f"{where} [touches] stations: {why}. Move [arm] base, [camera] or the object.", why)
 
 
