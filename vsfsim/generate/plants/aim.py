@@ -23,7 +23,6 @@ from vsfsim.robot.reach import Unreachable, straight_touch
 # targets that are tried for one touch: an arm that reaches a sixtieth of the points misses all with probability 5e-8
 DRAWS = 1000
 ON_BRANCH = 100  # the same for each touch of one branch, before another branch is drawn
-ATTEMPTS = 100  # branches that are drawn for one group of touches
 APART = 0.02  # least distance of touches along one branch [m]
 SPAN = 0.06  # least visible length of a branch that is touched at several places [m]
 TURN = 0.6  # largest angle about +z between the tool's axis and the line from shoulder to target [rad]
@@ -138,7 +137,7 @@ def _on_branch(draw: Callable[..., ArmAim], branches: list[tuple[np.ndarray, np.
     """So many touches of one branch, `APART` from each other along it; a branch is drawn by the number of its visible
     points."""
     size = np.array([len(points) for points, _ in branches], float)
-    for _ in range(ATTEMPTS if len(size) else 0):
+    for _ in range(DRAWS // 10 if len(size) else 0):
         points, at = branches[rng.choice(len(size), p=size / size.sum())]
         found: list[ArmAim] = []
         with contextlib.suppress(NothingReached):
