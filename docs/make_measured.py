@@ -229,7 +229,7 @@ MEASURED: dict[str, partial[str]] = {
     "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None)}
 """Table by name of its file."""
-SHOWN = ("#", "method", "area", "0-shot", "5-shot", "gap closed")
+SHOWN = ("#", "method", "area", "0-shot", "5-shot")
 """Columns of the README's table."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""
