@@ -38,7 +38,7 @@ PICTURES = {
 """Words after `vsfsim` by picture; OUT, GIF and DATASET are places in a temporary folder."""
 MODULES = {"generate": "vsfsim.generate.run", "press": "vsfsim.press.command", "show": "vsfsim.generate.inspect",
            "growth": "vsfsim.view.growth", "tradeoff": "measurements.tradeoff"}
-MINUTES = {"solver": 10, "peers": 40, "plant-ceilings": 400, "tradeoff-foam-block": 30, "tradeoff-shoes-v3-mini": 60,
+MINUTES = {"solver": 10, "peers": 40, "tradeoff-foam-block": 30, "tradeoff-shoes-v3-mini": 60,
            "tradeoff-shoes-v2-punyo-mini": 60}
 """Of a CPU core, roughly; of any other product two."""
 

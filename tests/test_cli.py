@@ -84,7 +84,7 @@ def test_a_wrong_tier_and_a_wrong_path_are_told_before_the_simulator_is_imported
 def test_ctrl_c_ends_in_one_line_also_while_libraries_are_imported(after, tmp_path):
     running = subprocess.Popen([sys.executable, "-c", "from vsfsim.cli import start; print('on', flush=True); start()",
                                 "press", "indent"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                               text=True)
+                               text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     assert running.stdout.readline() == "on\n"
     time.sleep(after)
     running.send_signal(signal.SIGINT)

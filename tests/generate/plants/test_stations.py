@@ -117,10 +117,20 @@ def test_the_last_touch_of_a_branch_is_asked():
         divide(view, dataclasses.replace(protocol, query=4))
 
 
-def test_a_dataset_marks_what_flips_and_an_arm_that_sees_no_branch_is_told(tmp_path):
+def test_a_dataset_marks_what_flips(tmp_path):
     vsfsim.generate(scene(tmp_path, width=240, height=216), out=tmp_path / "data", objects=1, touches=3, seed=0)
     (view,) = [Dataset.open(tmp_path / "data").load(entry.name) for entry in Dataset.open(tmp_path / "data").entries]
     assert all(touch.resolved is not None and touch.resolved[0] for touch in view.touches)
+
+
+def test_an_arm_that_reaches_no_branch_is_told(tmp_path, monkeypatch):
+    from vsfsim.generate.job import jobs_of
+    from vsfsim.generate.plants.subject import prepare_job
+    from vsfsim.generate.recipe import make_recipe
+
+    monkeypatch.setattr("vsfsim.generate.plants.aim.DRAWS", 10)
+    monkeypatch.setattr("vsfsim.generate.plants.aim.ON_BRANCH", 10)
+    loaded = load_scene(scene(tmp_path, width=240, height=216, base="[-3.0, 0.0, 0.2]"))
+    recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=3)
     with pytest.raises(SceneError, match="stem or branch"):
-        vsfsim.generate(scene(tmp_path, width=240, height=216, distance=1.1, base="[-3.0, 0.0, 0.2]"),
-                        out=tmp_path / "none", objects=1, touches=3, seed=0)
+        prepare_job(jobs_of(recipe, loaded.path, tmp_path)[0], device="cpu")
