@@ -56,7 +56,7 @@ def test_a_scene_none_of_whose_plants_can_be_used_is_refused_with_the_reason(job
 
 
 def test_pilot_touches_tell_a_stiff_plant_from_a_soft_one_and_a_far_one(job, monkeypatch):
-    monkeypatch.setitem(aim._draw.__kwdefaults__, "draws", 6)
+    monkeypatch.setattr(aim, "DRAWS", 6)
     monkeypatch.setattr(admit, "PILOTS", 2)
     scene = job.scene()
     plant = admit.grow(scene, job.stream(Stream.BODY), number=0)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vsfsim.core.solid import boundary_faces
 from vsfsim.sensing.surface import Surface
 
 _PARTS = np.array([[0, 4, 6, 7], [1, 5, 4, 8], [2, 6, 5, 9], [3, 8, 7, 9],
                   [4, 5, 6, 7], [4, 5, 7, 8], [5, 9, 7, 8], [5, 9, 6, 7]])
 """A quadratic tetrahedron, with nodes on the edges 01 12 20 03 13 23, as eight linear ones."""
-_FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 _SEAM = 0.04  # half the width of the line between two elements on the face of the cut, over their size
 _LIFT = 3e-4  # of the elements over these lines, over the size of the body
 
@@ -47,13 +47,6 @@ class Elements:
             return 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
         return np.average(centres, axis=0, weights=weight)
 
-    def boundary(self) -> tuple[np.ndarray, np.ndarray]:
-        """Triangles of the surface, wound outwards (f, 3), and the tetrahedron behind each (f,)."""
-        every = self.tets[:, _FACES].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(every, axis=1), axis=0, return_index=True, return_counts=True)
-        once = first[count == 1]
-        return every[once], once // 4
-
 
 @dataclass(frozen=True)
 class Cut:
@@ -84,7 +77,7 @@ def cut(body: Elements, away: np.ndarray, normal: np.ndarray) -> Cut:
         away: of each node, how far it is on the side that is taken off (n,) [m].
         normal: of the plane, towards that side (3,) [-]: the face of the cut is wound about it.
     """
-    triangles, owner = body.boundary()
+    triangles, owner = boundary_faces(body.tets)
     ends, n = [np.repeat(np.arange(len(body.points))[:, None], 2, axis=1)], len(body.points)
     whole = (away[triangles] <= 0.0).all(axis=1)
     out, whose = [triangles[whole]], [owner[whole]]

@@ -153,10 +153,11 @@ def _on_branch(draw: Callable[..., ArmAim], branches: list[tuple[np.ndarray, np.
 
 
 def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
-          rng: np.random.Generator, *, where: str, draws: int = DRAWS) -> ArmAim:
+          rng: np.random.Generator, *, where: str, draws: int = 0) -> ArmAim:
     shoulder = arm.postures(np.zeros((1, 7))).anchors[0, 1]
     refused: Counter = Counter()
     free, inward, hold, out = touches.frames
+    draws = draws or DRAWS
     for draw in range(1, draws + 1):
         target = cloud[rng.integers(len(cloud))]
         seed = int(rng.integers(2**31))

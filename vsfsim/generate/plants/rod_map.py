@@ -19,11 +19,10 @@ from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.plant import Plant
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
-from vsfsim.data.streams import Stream
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants.aim import ArmAim, load
 from vsfsim.generate.plants.skeleton import displaced
-from vsfsim.generate.plants.subject import Subject, beams, grow, outline
+from vsfsim.generate.plants.subject import Subject, admitted, beams, outline
 from vsfsim.generate.plants.touches import finish_touches, solve
 from vsfsim.generate.resim import named_job
 
@@ -62,15 +61,14 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Any], *, support: Sequence
     subject = dataclasses.replace(subject, arm=load(subject.scene.required_arm))
     if moduli == "true":
         return touched(subject, [known], plans, device)[0]
-    own = class_means([subject.plant])
-    others = class_means([grow(one.scene(), one.stream(Stream.BODY), number=one.object_index)
-                          for one in jobs_of(job.recipe, job.path, "")
-                          if one.object_index != job.object_index and one.view_index == 0])
-    missing = [part for part in own if part not in others]
-    if moduli == "fitted" and missing:
-        raise SceneError(f"rod-map learns its prior from the other plants of the dataset, and none of scene "
-                         f"'{recipe.scene}' has a {missing[0]}.")
-    given = own if moduli == "own" else others
+    own = given = class_means([subject.plant])
+    if moduli == "fitted":
+        given = class_means([admitted(one, one.scene()) for one in jobs_of(job.recipe, job.path, "")
+                             if one.object_index != job.object_index and one.view_index == 0])
+        missing = [part for part in own if part not in given]
+        if missing:
+            raise SceneError(f"rod-map learns its prior from the other plants of the dataset, and none of scene "
+                             f"'{recipe.scene}' has a {missing[0]}.")
     theta = np.array([given.get(part, 0.0) for part in known.region_names])
     if moduli == "fitted" and support:
         theta = fit(subject, known, theta, support, device)

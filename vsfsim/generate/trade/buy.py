@@ -67,7 +67,7 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     assert asked is not None
     if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == asked:
         return there["tier"], {"accuracy": there["options"]["accuracy"]}
-    said, began = request.note or (lambda sentence: None), time.process_time()
+    said = request.note or (lambda sentence: None)
     pilot = aimed(loaded, touches=1, objects=PILOT, seed=request.seed + SEED, device=request.device)
     steps, ladder = pilot.ground.steps(), pilot.ground.ladder()
     tried, began = list[tuple[list[float], list[float]]](), time.process_time()
