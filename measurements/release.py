@@ -35,7 +35,7 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import write_record
 from vsfsim.bench.task import Task, load_task, one_of, open_dataset
 from vsfsim.core import shelf
-from vsfsim.core.errors import TaskError
+from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.text_table import text_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -116,10 +116,13 @@ class Whole:
                     ship({Path(self.name, path.name): (row.admitted(), "", sum(os.times()[:4]) - began)}, out)
                 yield key, str(made.failure or "")
         if "audit" in left and all(map(self.current, self.part.rows)):
-            folders = [self._on(seed, workers, progress) for seed in SEEDS] if self.part.fresh else []
-            found = audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
-            ship_audit(found, out / "audits" / f"{self.name}.json", task.sha256, self.audited())
-            yield "audit", ""
+            try:
+                folders = [self._on(seed, workers, progress) for seed in SEEDS] if self.part.fresh else []
+                found = audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
+                ship_audit(found, out / "audits" / f"{self.name}.json", task.sha256, self.audited())
+                yield "audit", ""
+            except VsfsimError as error:  # studies and other tasks are made all the same
+                yield "audit", str(error)
         yield from make_studies([one for one in map(load_study, self.part.studies) if lacking(one)], out, workers,
                                 progress)
 
