@@ -143,7 +143,7 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     part.fresh["contact-points.tuned"] = 1.0  # a method that fails on a fresh seed stops no study
     lacking.append("half")
     monkeypatch.setattr(release.Whole, "_on", lambda *_: load_task("no-such"))
-    with pytest.raises(TaskError, match="^toy-v1, audit: unknown task 'no-such'"):
+    with pytest.raises(TaskError, match=r"^toy-v1, audit: unknown task 'no-such'"):
         release.release("toy-v1", 1, lambda *_: None)
     assert made[-1] == ["toy"] and not part.fresh.clear() and not lacking.clear()
     monkeypatch.setattr(release, "changed", lambda name, *_: ["the method"] * (name == "contact-points"))
