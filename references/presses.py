@@ -1,7 +1,7 @@
 """Forces of the presses of `references/cells.py` by scikit-fem: `presses.json`.
 
     python -m references.presses made.jsonl --workers 16   # scikit-fem 12; goes on where made.jsonl ends
-    python -m references.presses made.jsonl --ship         # writes presses.json of what is there
+    python -m references.presses made.jsonl --ship         # writes them into presses.json, which keeps its others
 
 Quadratic elements whose sides lie on every surface of the body and of its parts: 9-node quadrilaterals of the half
 plane (r, z) where all is round about the z axis, 27-node hexahedra of a half or quarter of a box. The probe is rigid
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import skfem
 
+import references
 from references.cells import BASE, CELLS, FOAMS, FRAMES, HELD, Cell
 from references.skfem_press import STIFF, Foam, NeoHooke, Press, gap_of
 
@@ -103,7 +104,7 @@ def build(cell: Cell, fine: float) -> tuple[Press, np.ndarray]:
     mesh = dataclasses.replace(mesh, doflocs=points)
     d, element = mesh.dim(), skfem.ElementVector(skfem.ElementQuad2() if flat else skfem.ElementHex2())
     basis = skfem.Basis(mesh, element, intorder=5)
-    low = 0.5 * cell.high if cell.body[0] == "sphere" else cell.high - 1e-9
+    low = 0.88 * cell.high if cell.body[0] == "sphere" else cell.high - 1e-9  # clear of a ball's flattened corner
     up = mesh.facets_satisfying(lambda x: (x[-1] > low) & (x[0] > (1e-9 if whole else -1.0)), boundaries_only=True)
     face = skfem.FacetBasis(mesh, element, facets=up, intorder=15 if flat else 9)
     which = np.zeros(basis.N, int)
@@ -185,8 +186,10 @@ def main() -> None:
 
 
 def ship(made_rows: Sequence[dict[str, Any]]) -> None:
-    """Write `presses.json` of the cells that have two meshes or more, of which the finest count."""
+    """Write `presses.json` of the cells that have two meshes or more, of which the finest count; one that has not
+    keeps its row of the file."""
     out: list[dict[str, Any]] = []
+    known = {json.dumps(row["press"]): row for row in references.load("presses")["presses"]}
     for cell in CELLS:
         own = sorted((row for row in made_rows if json.dumps(row["press"]) == key_of(cell) and "force" in row),
                      key=lambda row: row["fine"])
@@ -195,6 +198,8 @@ def ship(made_rows: Sequence[dict[str, Any]]) -> None:
             force, error = limit([row["force"] for row in meshes], meshes[-1]["fine"] / meshes[-2]["fine"])
             out.append({"press": dataclasses.asdict(cell), "force_N": [float(f"{f:.6g}") for f in force],
                         "relative_error": [float(f"{e:.2g}") for e in error], "unknowns": own[-1]["unknowns"]})
+        elif key_of(cell) in known:
+            out.append(known[key_of(cell)])
     rows = ",\n  ".join(map(json.dumps, out))
     FILE.write_text(f'{{"quantity": "Normal force of a rigid probe at {FRAMES} equal parts of the deepest",\n'
                     f' "origin": "presses.py, scikit-fem {skfem.__version__}",\n "presses": [\n  {rows}\n ]}}\n')
