@@ -32,23 +32,45 @@ def piped(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows)) + "\n"
 
 
+def board_of(task: str) -> Any:
+    """The leaderboard of the rows that ship."""
+    from papers.results import board_of as read
+
+    return read(task, BOARDS, made=False)
+
+
+def board_chart(text: str) -> str:
+    """The chart of the board whose table stands in a text, as a picture of its own."""
+    from vsfsim.bench.board.templates import filled
+    from vsfsim.bench.leaderboard import chart
+
+    (task,) = re.findall(r"<!-- measured: leaderboard-([\w.-]+)\.md -->", text)
+    return filled("chart.svg", chart=chart(board_of(task)), alone=True)
+
+
+def charts() -> str:
+    """What came out, in one look at each task that ranks a row."""
+    from vsfsim.bench.board.templates import filled
+    from vsfsim.bench.leaderboard import chart
+    from vsfsim.core.shelf import tasks
+
+    return "<!-- vsfsim leaderboard --html FILE -->\n" + filled(
+        "charts.html", charts=[chart(board_of(task)) for task in tasks()], alone=False)
+
+
 def leaderboard(task: str) -> str:
     """The table of `vsfsim leaderboard`, without the column of evidence."""
-    from vsfsim.bench.leaderboard import CEILING, cells, collect, footnotes
-    from vsfsim.bench.leaderboard import title as title_of
-    from vsfsim.bench.task import load_task
+    from vsfsim.bench.leaderboard import CEILING, cells, footnotes, title
     from vsfsim.core.plain_text import markdown as escaped
 
-    board = BOARDS[task] = BOARDS.get(task) or collect(load_task(task))
-    title = title_of(board.task)
-    said = [line for line in footnotes(board, escaped)
-            if line.startswith(("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
-    title += "." * bool(said) + "".join(f" {line[0].upper()}{line[1:]}." for line in said)
-    ceilings = dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING)
-    title += f" \\* Not ranked ({', '.join(ceilings)}): {CEILING}." if ceilings else ""
+    board = board_of(task)
+    notes = [f"{line[0].upper()}{line[1:]}." for line in footnotes(board, escaped)
+             if line.startswith(("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
+    ceilings = ", ".join(dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING))
+    notes += [f"\\* Not ranked ({ceilings}): {CEILING}."] * bool(ceilings)
     head, rows = cells(board, escaped)
     kept = [k for k, name in enumerate(head) if name != "evidence" and any(row[k] for row in rows)]
-    return (f"<!-- vsfsim leaderboard --task {task} -->\n{title}\n\n"
+    return (f"<!-- vsfsim leaderboard --task {task} -->\n{' '.join([f'{title(board.task)}.', *notes])}\n\n"
             + piped([head[k] for k in kept], [[row[k] for k in kept] for row in rows]))
 
 
@@ -56,8 +78,7 @@ def boards() -> str:
     """The table of every living task that has rows."""
     from vsfsim.core.shelf import tasks
 
-    return "\n".join(f"## `{name}`\n\n{table}" for name, table in {name: leaderboard(name) for name in tasks()}.items()
-                     if BOARDS[name].rows)
+    return "\n".join(f"## `{name}`\n\n{leaderboard(name)}" for name in tasks() if board_of(name).rows)
 
 
 def studies() -> str:
@@ -125,8 +146,7 @@ def reality() -> str:
 
     names, rows = ("real-palpation-v1", "fewshot-shoes-v3-mini-v1"), []
     for name in names:
-        leaderboard(name)
-        ranked = [row for row in BOARDS[name].rows if row.rank is not None]
+        ranked = [row for row in board_of(name).rows if row.rank is not None]
         rows.append({label: (row.rank, row.scores["rmse_ratio"]["5"].mean) for label, row in zip(
             labels_of(ranked), ranked)})
     both = [label for label in rows[0] if label in rows[1]]
@@ -140,7 +160,7 @@ def reality() -> str:
             + piped(["method", *(f"`{name}`" for name in names)], cells))
 
 
-RESULTS = {one.__name__: one for one in (boards, studies, claims, audits, reality)}
+RESULTS = {one.__name__: one for one in (charts, boards, studies, claims, audits, reality)}
 """Tables of all tasks or studies, by the name of the file."""
 
 
@@ -231,18 +251,19 @@ MEASURED: dict[str, partial[str]] = {
 """Table by name of its file."""
 SHOWN = ("#", "method", "area", "0-shot", "5-shot")
 """Columns of the README's table."""
+KINDS = ("surface-gp", "sbml", "cnp", "near-springs", "imaml", "point-vsf")
+"""Methods of the README's table, one of a kind; ceilings stand below them."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""
 
 
 def readme(text: str) -> str:
-    """The README with its marked table as it is in ``measured/``, of `SHOWN` columns and without the rows that have the
-    papers' settings."""
+    """The README with its marked table as it is in ``measured/``, of `SHOWN` columns and the tuned rows of `KINDS`."""
     def table(mark: re.Match[str]) -> str:
         _, title, empty, head, *rows = (FOLDER / mark[2]).read_text().splitlines()
         columns = [k for k, name in enumerate(head.split(" | ")) if name.strip("| ") in SHOWN]
-        cut = [f"| {' | '.join(row.strip('|').split(' | ')[k].strip() for k in columns)} |"
-               for row in (head, *rows) if "(paper)" not in row]
+        cut = [f"| {' | '.join(row.strip('|').split(' | ')[k].strip() for k in columns)} |" for row in (head, *rows)
+               if "(" not in row or any(f"| {kind} (tuned)" in row for kind in KINDS)]
         first, *said = re.split(r"(?<=\.) (?=[A-Z\\])", title)
         said = [first, *(one for one in said if one.startswith("\\* Not"))]
         return mark[1] + "\n".join([" ".join(said), empty, *cut]) + "\n" + mark[3]
@@ -256,6 +277,7 @@ def write(name: str, files: list[Path]) -> None:
 
 
 def write_readme() -> None:
-    """Put the table into the README."""
+    """Put the table into the README, and draw its chart."""
     page = ROOT / "README.md"
-    page.write_text(readme(page.read_text()))
+    page.write_text(readme(text := page.read_text()))
+    (FOLDER.parent / "pictures" / "board.svg").write_text(board_chart(text))

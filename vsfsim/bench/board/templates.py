@@ -18,7 +18,7 @@ _PAGES = Path(__file__).parent / "pages"
 
 @functools.cache
 def _environment() -> Environment:
-    out = Environment(loader=FileSystemLoader(_PAGES), autoescape=lambda name: str(name).endswith(".html"),
+    out = Environment(loader=FileSystemLoader(_PAGES), autoescape=lambda name: str(name).endswith((".html", ".svg")),
                       undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
                       finalize=lambda value: plain(value) if type(value) is str else value)
     out.globals |= {"style": Markup((_PAGES / "style.css").read_text(encoding="utf-8")),
