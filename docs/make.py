@@ -49,7 +49,7 @@ def digest(name: str) -> str:
 
     from vsfsim.core.shelf import scenes
 
-    if name in make_measured.included():
+    if name in make_measured.RESULTS:
         return ""
     words = [word for line in PICTURES.get(name, [["tradeoff", name.removeprefix("tradeoff-")]
                                                   if name.startswith("tradeoff-") else [name]]) for word in line]
@@ -106,7 +106,7 @@ def make(name: str, files: list[Path]) -> None:
         there = json.loads(text.partition("\n")[0] if file == stored else text).get("commit", "")
         same = subprocess.run(["git", "diff", "--quiet", there, "--", "vsfsim", "scenes", "measurements"], cwd=ROOT)
         said = said if there and same.returncode == 0 else ""
-    if name not in make_measured.included():
+    if name not in make_measured.RESULTS:
         MADE.write_text(json.dumps({**json.loads(MADE.read_text()), name: said}, indent=1, sort_keys=True) + "\n")
 
 
@@ -154,7 +154,7 @@ def main(words: list[str]) -> int:
         print("".join(f"{name}: older than what it is made from; python docs/make.py {name}   # "
                       f"{MINUTES.get(name, 2)} CPU minutes\n" for name in names), end="")
         return bool(names)
-    asked = make_measured.included() if words == ["results"] else words or [*make_measured.included(), *older()]
+    asked = make_measured.RESULTS if words == ["results"] else words or [*make_measured.RESULTS, *older()]
     for name, _, files in (word.partition("=") for word in asked):
         make(name, [Path(file) for file in files.split(",") if file])
     make_measured.write_readme()

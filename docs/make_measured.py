@@ -1,9 +1,9 @@
 """The tables of figures that the pages include; `docs/make.py` writes them.
 
 Every table comes from the output of a command, which stands above it in the file. `measured/NAME.md` is included by a
-page; the README's table stands between two marks, since GitHub includes nothing. The leaderboards take seconds and a
-test compares them with what ships; the others measure, for minutes, on the machine that they name. What another machine
-measured is in files that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
+page; the README's table stands in it, since GitHub includes nothing. The leaderboards take seconds and a test compares
+them with what ships; the others measure, for minutes, on the machine that they name. What another machine measured is in
+files that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
 """
 
 import dataclasses
@@ -39,37 +39,33 @@ def board_of(task: str) -> Any:
     return read(task, BOARDS, made=False)
 
 
-def board_chart(text: str) -> str:
-    """The chart of the board whose table stands in a text, as a picture of its own."""
-    from vsfsim.bench.board.templates import filled
-    from vsfsim.bench.leaderboard import chart
-
-    (task,) = re.findall(r"<!-- measured: leaderboard-([\w.-]+)\.md -->", text)
-    return filled("chart.svg", chart=chart(board_of(task)), alone=True)
-
-
-def charts() -> str:
-    """What came out, in one look at each task that ranks a row."""
+def charts(alone: str = "") -> str:
+    """What came out, in one look at each task that ranks a row; of the task ``alone`` a picture of its own."""
     from vsfsim.bench.board.templates import filled
     from vsfsim.bench.leaderboard import chart
     from vsfsim.core.shelf import tasks
 
+    if alone:
+        return filled("chart.svg", chart=chart(board_of(alone)), alone=True)
     return "<!-- vsfsim leaderboard --html FILE -->\n" + filled(
         "charts.html", charts=[chart(board_of(task)) for task in tasks()], alone=False)
 
 
-def leaderboard(task: str) -> str:
-    """The table of `vsfsim leaderboard`, without the column of evidence."""
+def leaderboard(task: str, *, short: bool = False) -> str:
+    """The table of `vsfsim leaderboard`, without the column of evidence; ``short`` for the README: columns `SHOWN`, and
+    the rows of `KINDS` and of ceilings."""
     from vsfsim.bench.leaderboard import CEILING, cells, footnotes, title
     from vsfsim.core.plain_text import markdown as escaped
 
     board = board_of(task)
-    notes = [f"{line[0].upper()}{line[1:]}." for line in footnotes(board, escaped)
-             if line.startswith(("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
+    notes = [f"{line[0].upper()}{line[1:]}." for line in footnotes(board, escaped) if not short and line.startswith(
+        ("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
     ceilings = ", ".join(dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING))
     notes += [f"\\* Not ranked ({ceilings}): {CEILING}."] * bool(ceilings)
     head, rows = cells(board, escaped)
-    kept = [k for k, name in enumerate(head) if name != "evidence" and any(row[k] for row in rows)]
+    rows = [row for row in rows if not short or "(" not in row[1] or row[1].startswith(KINDS)]
+    kept = [k for k, name in enumerate(head) if (name in SHOWN if short else name != "evidence") and any(
+        row[k] for row in rows)]
     return (f"<!-- vsfsim leaderboard --task {task} -->\n{' '.join([f'{title(board.task)}.', *notes])}\n\n"
             + piped([head[k] for k in kept], [[row[k] for k in kept] for row in rows]))
 
@@ -164,18 +160,6 @@ RESULTS = {one.__name__: one for one in (charts, boards, studies, claims, audits
 """Tables of all tasks or studies, by the name of the file."""
 
 
-def included() -> list[str]:
-    """Names of the tables of results that the pages include."""
-    mark = rf"measured(?:/|: )(leaderboard-[\w.-]+|{'|'.join(RESULTS)})\.md"
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-    return sorted({name for page in pages for name in re.findall(mark, page.read_text())})
-
-
-def result(name: str) -> str:
-    """A table of results by the name of its file."""
-    return RESULTS[name]() if name in RESULTS else leaderboard(name.removeprefix("leaderboard-"))
-
-
 def measurement(name: str, tables: int, **settings: Any) -> str:
     """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes."""
     found = importlib.import_module(f"measurements.{MODULES.get(name, name)}").measure(progress=print, **settings)
@@ -242,7 +226,7 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
 
 
 MEASURED: dict[str, partial[str]] = {
-    **{name: partial(result, name) for name in included()},
+    **{name: partial(make) for name, make in RESULTS.items()},
     "solver": partial(measurement, "solver", 2),
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
@@ -251,24 +235,17 @@ MEASURED: dict[str, partial[str]] = {
 """Table by name of its file."""
 SHOWN = ("#", "method", "area", "0-shot", "5-shot")
 """Columns of the README's table."""
-KINDS = ("surface-gp", "sbml", "cnp", "near-springs", "imaml", "point-vsf")
-"""Methods of the README's table, one of a kind; ceilings stand below them."""
+KINDS = tuple(f"{name} (tuned)" for name in ("surface-gp", "sbml", "cnp", "near-springs", "imaml", "point-vsf"))
+"""Rows of the README's table, one of a kind."""
+TABLE = r"<!-- vsfsim leaderboard --task ([\w.-]+) -->"
+"""The README's command above its table."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""
 
 
 def readme(text: str) -> str:
-    """The README with its marked table as it is in ``measured/``, of `SHOWN` columns and the tuned rows of `KINDS`."""
-    def table(mark: re.Match[str]) -> str:
-        _, title, empty, head, *rows = (FOLDER / mark[2]).read_text().splitlines()
-        columns = [k for k, name in enumerate(head.split(" | ")) if name.strip("| ") in SHOWN]
-        cut = [f"| {' | '.join(row.strip('|').split(' | ')[k].strip() for k in columns)} |" for row in (head, *rows)
-               if "(" not in row or any(f"| {kind} (tuned)" in row for kind in KINDS)]
-        first, *said = re.split(r"(?<=\.) (?=[A-Z\\])", title)
-        said = [first, *(one for one in said if one.startswith("\\* Not"))]
-        return mark[1] + "\n".join([" ".join(said), empty, *cut]) + "\n" + mark[3]
-
-    return re.sub(r"(<!-- measured: ([\w.-]+) -->\n).*?(<!-- end -->)", table, text, flags=re.DOTALL)
+    """The README with its table, which stands below the command that prints it."""
+    return re.sub(f"{TABLE}.*?(?=<!-- end -->)", lambda mark: leaderboard(mark[1], short=True), text, flags=re.DOTALL)
 
 
 def write(name: str, files: list[Path]) -> None:
@@ -278,6 +255,6 @@ def write(name: str, files: list[Path]) -> None:
 
 def write_readme() -> None:
     """Put the table into the README, and draw its chart."""
-    page = ROOT / "README.md"
-    page.write_text(readme(text := page.read_text()))
-    (FOLDER.parent / "pictures" / "board.svg").write_text(board_chart(text))
+    text = (ROOT / "README.md").read_text()
+    (ROOT / "README.md").write_text(readme(text))
+    (FOLDER.parent / "pictures" / "board.svg").write_text(charts(*re.findall(TABLE, text)))
