@@ -2,8 +2,8 @@
 
 Every table comes from the output of a command, which stands above it in the file. `measured/NAME.md` is included by a
 page; the README's table stands in it, since GitHub includes nothing. The leaderboards take seconds and a test compares
-them with what ships; the others measure, for minutes, on the machine that they name. What another machine measured is in
-files that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
+them with what ships; the others measure, for minutes, on the machine that they name. What another machine measured is
+in files that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
 """
 
 import dataclasses
