@@ -16,9 +16,11 @@ from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import Touch
 from vsfsim.data.verify import unresolved_frames
 from vsfsim.generate.aim import Aim
+from vsfsim.generate.effector import effector_of
+from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.solid import Subject
-from vsfsim.generate.trade.buy import aimed
+from vsfsim.generate.solid import Subject, prepare
+from vsfsim.generate.trade.buy import ground_of
 from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
@@ -107,10 +109,10 @@ class DatasetTouches:
     """
 
     def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu"):
-        drawn = aimed(loaded, touches=CANDIDATES * touches, objects=objects, seed=seed, device=device)
+        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
         scene, whole = loaded.sample(0), make_recipe(loaded)
-        self.ground, self.effector = drawn.ground, drawn.effector
-        self.own = Setting(drawn.tier, tiers.element_size(scene.required_object, drawn.tier, scene.probe))
+        self.ground, self.effector = ground_of(loaded, device=device)
+        self.own = Setting(recipe.tier, tiers.element_size(scene.required_object, recipe.tier, scene.probe))
         """The scene's own tier and elements."""
         self.frames = scene.required_touches.frames[1]
         """Readings on the way in."""
@@ -119,8 +121,10 @@ class DatasetTouches:
         self.pressable = [name for name in tiers.TIERS if name != "fem-fine" and self._can(scene, name)]
         """Tiers at which its effector can touch."""
         self._device, self._warm = device, set[str]()
+        subjects = [prepare(job, device=device) for job in jobs_of(recipe, loaded.path, ".")]
+        drawn = [(subject, self.effector.aim(subject, device=device)) for subject in subjects]
         self._drawn = [(subject, [aims[k] for k in spread([a.depth for a in aims], np.stack([a.target for a in aims]),
-                                                          touches)]) for subject, aims in drawn.drawn]
+                                                          touches)]) for subject, aims in drawn]
         self.drawn = [(subject, a) for subject, own in self._drawn for a in own]
         """Of each touch, its object and how it was aimed."""
         self.count = len(self.drawn)
@@ -131,7 +135,7 @@ class DatasetTouches:
 
     def _can(self, scene: Scene, tier: str) -> bool:
         try:  # what a tier that does not show the scene's needs errs is measured, too
-            return self.effector.check(dataclasses.replace(scene, needs=()), tier) == tier
+            return effector_of(scene).check(dataclasses.replace(scene, needs=()), tier) == tier
         except SceneError:
             return False
 

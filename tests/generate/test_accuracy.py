@@ -1,5 +1,6 @@
 """`vsfsim generate --accuracy`: what is chosen and kept, audited, verified, refused."""
 
+import itertools
 import json
 import re
 from types import SimpleNamespace
@@ -11,12 +12,11 @@ from typer.testing import CliRunner
 from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.data.manifest import audit_error, error_against, observed, verdict
+from vsfsim.data.manifest import apart, audit_error, error_against, observed, verdict
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
-from vsfsim.generate.trade.setting import Ground
 
 
 @pytest.fixture
@@ -46,32 +46,24 @@ def test_the_quantile_is_conformal():
     assert held == pytest.approx(0.95, abs=0.012)
 
 
-class Pilot:
-    """Touches that imagined settings are off by 300 h^2, and a reference that knows it."""
-
-    def __init__(self, scene, **_):
-        self.ground, self.effector, self.drawn = Ground("fem-coarse", 0.02, None), self, [(None, [1.0])] * buy.PILOT
-
-    def touched(self, subject, aims, setting, *, device):
-        fine = 1.0 if setting.level is None else 0.5 / 1.3**setting.level
-        return [SimpleNamespace(force=FORCE * (1.0 + 300.0 * (fine * setting.resolution) ** 2), converged=FOUND)]
-
-    def reference(self, subject, a, ladder, *, device):
-        return {"force": FORCE, "error": np.zeros(2), "converged": FOUND}
-
-
-FORCE, FOUND = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 4.0]]), np.ones(2, bool)
+def pilot(scene, ground, request):
+    """Touches that imagined settings are off by 300 h^2 (8 % to 20 mm, 1 % to the finest), each 1 s dear."""
+    fine = [step.resolution * (1.0 if step.level is None else 0.5 / 1.3**step.level) for step in ground.steps()]
+    force, found = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 4.0]]), np.ones(2, bool)
+    made = [SimpleNamespace(force=force * (1.0 + 300.0 * edge**2), converged=found) for edge in fine]
+    errors = [error_against(one.force, found, force, found) for one in made[1:]]
+    return buy.PILOT * [buy.Tried([apart(*pair) for pair in itertools.pairwise(made)], errors, [1.0] * 5)]
 
 
 def test_a_pilot_chooses_a_factor_once_or_refuses_with_the_figure(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(buy, "aimed", Pilot)
+    monkeypatch.setattr(buy, "pilot", pilot)
     recipe, said = make_recipe(scene), []
     tier, options = buy.bought(scene, tmp_path / "new", Request(accuracy=0.13, note=said.append), recipe)
     promise = options["accuracy"]
     # 300 h^2 is 12 % at 20 mm, 8.3 % less than at 26 mm
     assert tier == "fem-coarse" and promise["factor"] == 1.0 and promise["expected"] == pytest.approx(0.12)
     assert "a pilot of 19 touches of different objects" in said[0]
-    assert "19 of 19 end under fem-coarse, 20 mm" in said[1]
+    assert "19 of 19 end under fem-coarse, 20 mm" in said[1] and "4 touches cost about 8 s" in said[1]
     with pytest.raises(SceneError, match=r"19 of 19 touches are off by more under .*, the worst by 1.1 %.* 1.1 % or m"):
         buy.bought(scene, tmp_path / "new", Request(accuracy=0.01), recipe)
 
@@ -124,10 +116,10 @@ def test_the_error_of_a_touch_is_that_of_its_worst_reading(what):
 
 @pytest.mark.slow
 def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, here, monkeypatch):
-    monkeypatch.setattr(buy, "aimed", Pilot)
+    monkeypatch.setattr(buy, "pilot", pilot)
     monkeypatch.setattr(buy, "AUDITS", (1, 1))
     made = run.generate(scene, tmp_path / "data", accuracy=0.5, objects=1)
-    monkeypatch.setattr(buy, "aimed", None)  # a second pilot would fail
+    monkeypatch.setattr(buy, "pilot", None)  # a second pilot would fail
     run.generate(scene, tmp_path / "data", accuracy=0.5, objects=1)
     stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
     assert stored["accuracy"]["asked"] == 0.5

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from typing import Any, TypeVar
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.engines import one_thread
@@ -25,6 +25,7 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
 
+T = TypeVar("T")
 _PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg",
             "scipy.spatial.transform", "torch", "trimesh", "warp")
 """What every worker imports, in 2.6 s of a core. No module of vsfsim: some start Warp, which opens a GPU's driver, and
@@ -97,10 +98,11 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
     Raises:
         VsfsimError: of the first view that fails; the others are then cancelled.
     """
-    count, left = workers or (None if device == "cpu" else sharing(device)), list(jobs)
+    left = list(jobs)
     while left:
         try:
-            yield from _make_in_pool(left, device, count)
+            for job, _ in in_pool(make_one, left, device, device=device, workers=workers):
+                yield job.name
             return
         except BrokenProcessPool as error:
             if "poison" not in jobs[0].allow:
@@ -115,7 +117,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
         for job in begun:
             while job.name not in finished_names(store) and failure(store, job.name).count < MOST_FAILURES:
                 with contextlib.suppress(BrokenProcessPool):
-                    yield from _make_in_pool([job], device, 1)
+                    yield from (one.name for one, _ in in_pool(make_one, [job], device, device=device, workers=1))
         left = [job for job in left if job not in begun]
 
 
@@ -126,15 +128,22 @@ def sharing(device: str) -> int:
     return max(1, min(_ON_A_GPU, os.cpu_count() or 1, warp.get_device(device).total_memory // _ROOM))
 
 
-def _make_in_pool(jobs: Sequence[Job], device: str, count: int | None) -> Iterator[str]:
-    with process_pool(len(jobs), count, device=device) as pool:
+def in_pool(function: Callable[..., T], jobs: Sequence[Job], *arguments: Any, device: str,
+            workers: int | None) -> Iterator[tuple[Job, T]]:
+    """Each of some jobs with what ``function`` made of it and of the ``arguments``, in a process from the start to the
+    end, as they come; ``device`` and ``workers`` as of `make_each`.
+
+    Raises:
+        BrokenProcessPool: a process was killed, or none could be started.
+    """
+    workers = workers or (None if device == "cpu" else sharing(device))
+    with process_pool(len(jobs), workers, device=device) as pool:
         try:
-            futures = {submit(pool, make_one, job, device): job.name for job in jobs}
+            futures = {submit(pool, function, job, *arguments): job for job in jobs}
         except (EOFError, ConnectionError) as error:  # the server that forks the workers was killed
             raise BrokenProcessPool("no worker could be started") from error
         for future in as_completed(futures):
-            future.result()
-            yield futures[future]
+            yield futures[future], future.result()
 
 
 def make_one(job: Job, device: str) -> None:

@@ -12,25 +12,29 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import SceneError, VsfsimError
+import numpy as np
+
+from vsfsim.core.errors import DatasetError, SceneError, VsfsimError
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.disk import Store
 from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, apart, error_against
 from vsfsim.data.recipe import Recipe
-from vsfsim.generate.aim import Aim
+from vsfsim.data.records import Touch
 from vsfsim.generate.effector import effector_of, kernels_of
-from vsfsim.generate.job import jobs_of
+from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.solid import Subject, prepare
+from vsfsim.generate.solid import prepare
 from vsfsim.generate.trade.setting import Ground
+from vsfsim.generate.workers import in_pool
 from vsfsim.physics import tiers
 from vsfsim.physics.runtime import compile_kernels
 
@@ -68,78 +72,96 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == asked:
         return there["tier"], {"accuracy": there["options"]["accuracy"]}
     said = request.note or (lambda sentence: None)
-    pilot = aimed(loaded, touches=1, objects=PILOT, seed=request.seed + SEED, device=request.device)
-    steps, ladder = pilot.ground.steps(), pilot.ground.ladder()
-    tried, began = list[tuple[list[float], list[float]]](), time.process_time()
-    for k, (subject, (a,)) in enumerate(pilot.drawn):
-        made = [pilot.effector.touched(subject, [a], step, device=request.device)[0] for step in steps]
-        force, error, found = pilot.effector.reference(subject, a, ladder, device=request.device).values()
-        tried.append(([apart(*pair) for pair in itertools.pairwise(made)],
-                      [error_against(one.force, one.converged, force, found, error) or 0.0 for one in made[1:]]))
-        if k == 0:
+    (ground, _), tried = ground_of(loaded, device=request.device), list[Tried]()
+    steps, ladder = ground.steps(), ground.ladder()
+    for touch in pilot(loaded, ground, request):
+        tried.append(touch)
+        if len(tried) == 1:
             said(f"--accuracy {100 * asked:g} %: a pilot of {PILOT} touches of different objects, about "
-                 f"{PILOT * (time.process_time() - began):.0f} s of processor time")
+                 f"{PILOT * sum(touch.seconds):.0f} s of processor time")
         if request.progress is not None:
-            request.progress(k + 1, PILOT, "touches of the pilot")
-    factor = quantile([least_factor(*touch, asked) for touch in tried])
-    last = [errors[-1] for _, errors in tried]
+            request.progress(len(tried), PILOT, "touches of the pilot")
+    factor = quantile([least_factor(touch.differences, touch.errors, asked) for touch in tried])
+    last = [touch.errors[-1] for touch in tried]
     if math.isinf(factor):
         off = sum(error > asked for error in last)
         raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot {off} of {PILOT} touches "
                          f"are off by more under the finest setting, {steps[-1].key}, the worst by "
                          f"{_percent(max(last))}, the error of its reference included. Ask for "
                          f"{_percent(quantile(last))} or more, or give a finer resolution in [object].")
-    ends = [ended(differences, factor, asked) for differences, _ in tried]
+    ends = [ended(touch.differences, factor, asked) for touch in tried]
     total = recipe.objects * recipe.views * recipe.touches
     audits = min(total, max(AUDITS[0], min(AUDITS[1], total // 10)))
+    cost = [sum(touch.seconds[:k + 2]) for k, touch in zip(ends, tried, strict=True)]
     said(f"the error of a touch is taken as {factor:.2g} times the difference of two settings: "
          + ", ".join(f"{ends.count(k)} of {PILOT} end under {steps[k + 1].key}" for k in sorted(set(ends)))
-         + f"; {audits} of {total} touches are audited, each for about "
-         f"{(time.process_time() - began) / PILOT:.2g} s of processor time at most")
+         + f"; {total} touches cost about {total * sum(cost) / PILOT:.0f} s of processor time, and the audits of "
+         f"{audits} of them {audits * sum(touch.seconds[-1] for touch in tried) / PILOT:.0f} s")
     promise = {"asked": asked, "factor": factor, "touches": PILOT, "audits": audits,
-               "expected": max(errors[k] for k, (_, errors) in zip(ends, tried, strict=True)),
+               "expected": max(touch.errors[k] for k, touch in zip(ends, tried, strict=True)),
                **{name: [s.table() for s in some] for name, some in (("steps", steps), ("ladder", ladder))}}
-    return pilot.ground.tier, {"accuracy": promise}
+    return ground.tier, {"accuracy": promise}
 
 
 @dataclass(frozen=True)
-class Aimed:
-    """Touches of the first objects of a scene, aimed once."""
+class Tried:
+    """A touch of a pilot."""
 
-    effector: OnSolids
-    """What touches."""
-    tier: str
-    """The scene's own."""
-    ground: Ground
-    """Where its settings begin."""
-    drawn: Sequence[tuple[Subject, list[Aim]]]
-    """Of each object, how it is touched."""
+    differences: Sequence[float]
+    """From each setting to the next [-]."""
+    errors: Sequence[float]
+    """Of all settings but the first [-]."""
+    seconds: Sequence[float]
+    """Processor time of each setting, then of the reference [s]."""
 
 
-def aimed(loaded: SceneFile, *, touches: int, objects: int, seed: int, device: str) -> Aimed:
-    """Aim touches that can be made again under other settings.
-
-    Args:
-        loaded: the scene, with ``[touches]``.
-        touches: of each object.
-        objects: how many.
-        seed: as of `vsfsim generate`.
-        device: Warp device.
+def pilot(loaded: SceneFile, ground: Ground, request: Request) -> Iterator[Tried]:
+    """Its touches as they come, each made by one process.
 
     Raises:
-        SceneError: the scene cannot be touched so.
+        VsfsimError: of the first that cannot be made; the others are then cancelled.
     """
-    recipe, scene = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=touches), loaded.sample(0)
+    recipe = make_recipe(loaded, request, seed=request.seed + SEED, objects=PILOT, views=1, touches=1)
+    jobs = jobs_of(recipe, loaded.path, ".")
+    try:
+        for _, touch in in_pool(_tried, jobs, ground, request.device, device=request.device, workers=request.workers):
+            yield touch
+    except BrokenProcessPool as error:
+        raise DatasetError("a worker process ended before its touch of the pilot was finished, as one does that is "
+                           "killed or out of memory. Run the same command again with fewer --workers.") from error
+
+
+def _tried(job: Job, ground: Ground, device: str) -> Tried:
+    """In a process of its own: the touch of a view under all settings, and its reference."""
+    subject, made, clock = prepare(job, device=device), list[Touch](), list[float]()
+    effector = effector_of(subject.scene)
+    assert isinstance(effector, OnSolids)
+    (a,) = effector.aim(subject, device=device)
+    for step in ground.steps():
+        clock.append(time.process_time())
+        made += effector.touched(subject, [a], step, device=device)
+    clock.append(time.process_time())
+    force, error, found = effector.reference(subject, a, ground.ladder(), device=device).values()
+    return Tried([apart(*pair) for pair in itertools.pairwise(made)],
+                 [error_against(one.force, one.converged, force, found, error) or 0.0 for one in made[1:]],
+                 np.diff([*clock, time.process_time()]).tolist())
+
+
+def ground_of(loaded: SceneFile, *, device: str) -> tuple[Ground, OnSolids]:
+    """Where the settings of a scene begin, and what touches; its kernels are compiled.
+
+    Raises:
+        SceneError: its touches cannot be made again.
+    """
+    scene = loaded.sample(0)
     effector = effector_of(scene)
     if not isinstance(effector, OnSolids):
         raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another mesh. "
                          f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
-    start = max(recipe.tier, "fem-coarse", key=list(tiers.TIERS).index)
-    ground = Ground(start, tiers.element_size(scene.required_object, start, scene.probe),
-                    None if scene.sensor is None else scene.sensor.nodes)
+    tier = max(effector.check(scene, None), "fem-coarse", key=list(tiers.TIERS).index)
     compile_kernels(kernels_of(scene), device)
-    subjects = [prepare(job, device=device) for job in jobs_of(recipe, loaded.path, ".")]
-    return Aimed(effector, recipe.tier, ground, [(one, effector.aim(one, device=device)) for one in subjects])
+    return Ground(tier, tiers.element_size(scene.required_object, tier, scene.probe),
+                  None if scene.sensor is None else scene.sensor.nodes), effector
 
 
 def least_factor(differences: Sequence[float], errors: Sequence[float], asked: float) -> float:
