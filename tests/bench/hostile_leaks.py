@@ -13,6 +13,7 @@ import socket
 import sys
 import time
 from multiprocessing import shared_memory
+from statistics import median
 
 from toy_methods import Constant
 
@@ -151,7 +152,37 @@ def every_mount(do):
             continue
 
 
+def page_cache(missing, first=0):
+    """Every second of 16 pages of a file that all see is in memory; ``missing`` is larger for the others."""
+    def way(do):
+        with open(os.path.join(os.path.dirname(os.__file__), "pydoc_data", "topics.py"), "rb") as file:
+            handle, places = file.fileno(), range(first, first + (1 << 18), 1 << 14)
+            os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_RANDOM)
+            if do == "take":
+                found = [missing(handle, place) for place in places]
+                return median(found[1::2]) > 5.0 * median(found[::2])
+            os.posix_fadvise(handle, first, 1 << 18, os.POSIX_FADV_DONTNEED)
+            return [os.pread(handle, 1, place) for place in places[::2]] and None
+
+    return way
+
+
+def wait(handle, place):
+    start = time.perf_counter()
+    return os.pread(handle, 1, place) and time.perf_counter() - start
+
+
+def absent(handle, place):
+    try:
+        return os.preadv(handle, [bytearray(1)], place, os.RWF_NOWAIT) - 1
+    except BlockingIOError:
+        return 1
+
+
 WAYS = {
+    "page cache": page_cache(absent), "page cache by the clock": page_cache(wait, 1 << 18),
+    "watch": lambda do: LIBC.syscall(262 + 38 * (os.uname().machine == "x86_64"), 0x200, 0) >= 0 and do == "take",
+    "ring of calls": lambda do: LIBC.syscall(425, 8, bytes(120)) >= 0 and do == "take",
     "working folder": file(os.getcwd), "/tmp": file(lambda: "/tmp"), "/var/tmp": file(lambda: "/var/tmp"),
     "/dev/shm": file(lambda: "/dev/shm"), "home": file(lambda: os.path.expanduser("~/.config")),
     "Warp's cache": file(lambda: os.environ.get("WARP_CACHE_PATH", os.path.expanduser("~/.cache/warp"))),

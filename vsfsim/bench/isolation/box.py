@@ -24,11 +24,13 @@ _BIND, _REC, _PRIVATE, _DETACH = 4096, 16384, 1 << 18, 2
 _MOUNT_SETATTR, _RECURSIVE, _RDONLY, _NOSUID = 442, 0x8000, 1, 2
 _DUMPABLE, _SECCOMP, _NO_NEW_PRIVILEGES = 4, 22, 38
 _NOBODY = 65534
-_CALLS = {"x86_64": (0xC000003E, 41, (248, 249, 250), 72, (73, 254)),
-          "aarch64": (0xC00000B7, 198, (217, 218, 219), 25, (32, 27))}
-# Of a machine, the number of its system calls' table, and in it socket, add_key, request_key and keyctl, fcntl, flock
-# and inotify_add_watch. The kernel's keyrings are in no namespace of root's, and sockets to the host of a virtual
-# machine (AF_VSOCK) in none. Locks, leases, hints and watches are of the file that all trials see.
+_CALLS = {"x86_64": (0xC000003E, 41, (248, 249, 250, 300, 327, 425), 72, (73, 221, 254)),
+          "aarch64": (0xC00000B7, 198, (217, 218, 219, 262, 286, 425), 25, (32, 223, 27))}
+# Of a machine, the number of its system calls' table, and in it socket; what is refused: add_key, request_key, keyctl,
+# fanotify_init, preadv2 and io_uring_setup; fcntl; what does nothing: flock, fadvise64 and inotify_add_watch. The
+# kernel's keyrings are in no namespace of root's, and sockets to the host of a virtual machine (AF_VSOCK) in none.
+# Locks, leases, hints and watches are of the file that all trials see, and so are its pages in memory, which advice
+# drops and preadv2 tells. A ring makes calls that no filter sees.
 _VSOCK, _X32 = 40, 0x40000000
 # The family of these sockets, and the least number of a call of x86_64's second table.
 _ON_FILES = (6, 7, 37, 38, 1024, 1026, 1036)
@@ -124,11 +126,11 @@ def _lose_privileges(libc: ctypes.CDLL) -> None:
             libc.prctl(_DUMPABLE, 1, 0, 0, 0)
     _check(libc.capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()), "capset")
     if platform.machine() in _CALLS:
-        table, socket, keys, control, shared = _CALLS[platform.machine()]
+        table, socket, refused, control, shared = _CALLS[platform.machine()]
         load, equal, at_least = 0x20, 0x15, 0x35
         # see seccomp(2): the table's number, the call's number, the family of a socket, what fcntl is asked
         rules = [(load, 4), (equal, table, 0, "refuse"), (load, 0), (at_least, _X32, "refuse", 0),
-                 *((equal, call, "refuse", 0) for call in keys), *((equal, call, "ignore", 0) for call in shared),
+                 *((equal, call, "refuse", 0) for call in refused), *((equal, call, "ignore", 0) for call in shared),
                  (equal, socket, 0, 2), (load, 16), (equal, _VSOCK, "refuse", "allow"),
                  (equal, control, 0, "allow"), (load, 24), *((equal, what, "ignore", 0) for what in _ON_FILES)]
         # ends: allow, refuse with EPERM, say that it was done; a jump counts the steps that it leaves out
