@@ -1,10 +1,12 @@
-"""What holds for the numbers of any frames; where paths begin; blocks of any ticks."""
+"""What holds for the numbers of any frames; where paths begin; blocks of any ticks and supports."""
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from vsfsim.core.hexes import split_hexes
+from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.structured import grid_hexes
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Frames
 
@@ -37,3 +39,10 @@ def from_above(poses):
     start = poses[0].copy()
     start[..., 2, 3] += 0.06
     return start
+
+
+def with_supports(model, free):
+    """The body of a model with supports that no scene can name: 1 where a degree of freedom may move (3 n,)."""
+    soft, make = model.soft_factor, functools.partial(RestFactor, free=free, points=model.mesh.points)
+    return dataclasses.replace(model, free=free, factor=make(model.factor.stiffness),
+                               soft_factor=None if soft is None else make(soft.stiffness))

@@ -4,7 +4,7 @@ converges or says why not."""
 
 import numpy as np
 import pytest
-from frame_checks import from_above, numbers_stand_for_equilibria
+from frame_checks import from_above, numbers_stand_for_equilibria, with_supports
 
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid, smallest_sine
@@ -122,7 +122,8 @@ def test_a_crushed_element_is_marked(device):
     poses = np.tile(np.eye(4), (4, 1, 1, 1))
     poses[:, 0, :3, :3] = turn_to(np.array([0.0, 0.0, -1.0]), Plane())
     poses[:, 0, 2, 3] = size * np.array([0.7, 0.4, 0.2, 0.07])
-    frames = Solver(model.hold(free.ravel()), Plane(), device=device, options=SolverOptions(tolerance=1e-3)).run(poses)
+    held = with_supports(model, free.ravel())
+    frames = Solver(held, Plane(), device=device, options=SolverOptions(tolerance=1e-3)).run(poses)
     assert frames.reason[:, 0].tolist() == [Reason.NONE, Reason.NONE, Reason.NONE, Reason.CRUSHED]
     assert frames.min_det_f[-1, 0] < 0.1 < frames.min_det_f[2, 0]
     assert frames.iterations[-1, 0] < 30, "the same equilibrium found twice is enough; 63 shorter steps took 68"

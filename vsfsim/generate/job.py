@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.scene import Scene, parse_scene
-from vsfsim.data.manifest import file_name
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.streams import Stream, stream
 
@@ -35,11 +34,6 @@ class Job:
     """Folder or address of the dataset."""
     allow: Sequence[str] = ()
     """What is refused otherwise, see `vsfsim.core.scene_tables.request.Request`."""
-
-    @property
-    def file(self) -> Path:
-        """The file of the view in a folder."""
-        return Path(self.store) / file_name(self.name)
 
     def scene(self) -> Scene:
         """The scene of this object, with the recipe's own number of touches, and its own element size, readings on the

@@ -63,13 +63,6 @@ class Model:
         millionth of the weight."""
         return max(1e-9 * float(self.young_modulus.min()) * self.element_size**2, 1e-6 * float(np.abs(self.load).sum()))
 
-    def hold(self, free: np.ndarray) -> Model:
-        """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
-        soft, make = self.soft_factor, functools.partial(RestFactor, free=free, points=self.mesh.points)
-        return dataclasses.replace(
-            self, free=free, factor=make(self.factor.stiffness),
-            soft_factor=None if soft is None else make(soft.stiffness))
-
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
     """Mask (n,) of the nodes that the supports hold, points (n, 3) [m] in the object's frame.

@@ -37,13 +37,7 @@ def look_at(spec: CameraSpec, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Args:
         spec: resolution, field of view and the direction from the object to the camera.
         target: the point looked at, world (3,) [m].
-
-    Raises:
-        RenderError: the target is not three finite numbers.
     """
-    target = np.asarray(target, np.float64)
-    if target.shape != (3,) or not np.isfinite(target).all():
-        raise RenderError(f"camera: target is {target.tolist()}; give a finite world point (3,) in metres.")
     focal = 0.5 * spec.height / math.tan(0.5 * spec.fov)
     intrinsics = np.array([[focal, 0.0, 0.5 * (spec.width - 1)], [0.0, focal, 0.5 * (spec.height - 1)],
                            [0.0, 0.0, 1.0]])
@@ -103,19 +97,9 @@ def render(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, wi
         The view; depth is 0 and the mask False where no ray meets the object.
 
     Raises:
-        RenderError: a surface or camera that does not fit, an unknown renderer, or no GL for pyrender.
+        RenderError: a surface that does not fit, see `checked_surface`, an unknown renderer, or no GL for pyrender.
     """
     surface = checked_surface(surface)
-    intrinsics, camera_pose = np.asarray(intrinsics, np.float64), np.asarray(camera_pose, np.float64)
-    finite = np.isfinite(intrinsics).all() and np.isfinite(camera_pose).all()
-    if intrinsics.shape != (3, 3) or camera_pose.shape != (4, 4) or not finite:
-        raise RenderError(f"render: intrinsics {intrinsics.shape} and camera_pose {camera_pose.shape}; give finite (3, "
-                          f"3) and (4, 4).")
-    if not 0.0 <= shading <= 1.0:
-        raise RenderError(f"render: shading is {shading!r}; it must be from 0 (bare albedo) to 1 (full light "
-                          f"and shade).")
-    if width < 1 or height < 1:
-        raise RenderError(f"render: the picture is {width} x {height}; it must have at least one pixel.")
     if renderer == "warp":
         from vsfsim.sensing.render_warp import cast
         return cast(surface, intrinsics, camera_pose, width, height, device=device, shading=shading,

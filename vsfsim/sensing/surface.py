@@ -110,21 +110,12 @@ def checked_surface(surface: Surface) -> Surface:
     """The surface with float64 positions, int32 indices and an appearance.
 
     Raises:
-        RenderError: a shape, an index or an appearance that is not valid.
+        RenderError: a vertex that is not finite, or a region or a texture that there is not.
     """
     vertices, triangles = np.asarray(surface.vertices, np.float64), np.asarray(surface.triangles)
     region, rest = np.asarray(surface.region), np.asarray(surface.rest_vertices, np.float64)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or rest.shape != vertices.shape:
-        raise RenderError(f"render: vertices {vertices.shape} and rest_vertices {rest.shape}; both must be (n, "
-                          f"3) in metres.")
     if not (np.isfinite(vertices).all() and np.isfinite(rest).all()):
         raise RenderError("render: the surface has a vertex that is not finite; give finite positions in metres.")
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0 or region.shape != (len(triangles),):
-        raise RenderError(f"render: triangles {triangles.shape} and region {region.shape}; give (f, 3) and (f,) "
-                          f"with f >= 1.")
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise RenderError(f"render: a triangle names vertex {int(triangles.max())} of {len(vertices)}; indices go from "
-                          f"0 to {len(vertices) - 1}.")
     look = surface.appearance
     if look is None:
         look = Appearance(np.full((1, 3), 0.45), ("plain",), np.ones(1), np.zeros(1))

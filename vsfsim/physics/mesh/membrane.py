@@ -48,11 +48,6 @@ class TriangleMesh:
         """A mesh and its volume; arguments as the fields."""
         return cls(points, faces, rim, np.array([gas.volume(points, closed(faces, rim))]))
 
-    @property
-    def tets(self) -> np.ndarray:
-        """None: (0, 10)."""
-        return np.zeros((0, 10), np.int32)
-
     def surface_nodes(self) -> np.ndarray:
         """All nodes (n,)."""
         return np.arange(len(self.points))
