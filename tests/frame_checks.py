@@ -1,7 +1,6 @@
 """What holds for the numbers of any frames; where paths begin; blocks of any ticks and supports."""
 
 import dataclasses
-import functools
 
 import numpy as np
 
@@ -41,8 +40,9 @@ def from_above(poses):
     return start
 
 
-def with_supports(model, free):
-    """The body of a model with supports that no scene can name: 1 where a degree of freedom may move (3 n,)."""
-    soft, make = model.soft_factor, functools.partial(RestFactor, free=free, points=model.mesh.points)
-    return dataclasses.replace(model, free=free, factor=make(model.factor.stiffness),
-                               soft_factor=None if soft is None else make(soft.stiffness))
+def rollers(model, held):
+    """The body of a model held in single directions, which no scene can name: mask (n, 3)."""
+    free = np.where(held, 0.0, 1.0).ravel()
+    factor, soft = (old and RestFactor(old.stiffness, free=free, points=model.mesh.points)
+                    for old in (model.factor, model.soft_factor))
+    return dataclasses.replace(model, free=free, factor=factor, soft_factor=soft)

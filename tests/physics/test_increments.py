@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from frame_checks import from_above, with_supports
+from frame_checks import from_above, rollers
 
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.solve.frames import Reason, SolverOptions
@@ -28,7 +28,7 @@ def test_a_thin_sheet_is_not_jumped_over(block, line, device):
     """A sheet of 3 mm, held at two edges, and a ball that goes 20 mm in one frame, seven times the sheet's thickness:
     it is met and carried along."""
     model = block((0.06, 0.03, 0.003), 0.006, young_modulus=1e5, poisson_ratio=0.3)
-    model = with_supports(model, np.repeat(np.where(np.abs(model.mesh.points[:, 0]) > 0.0299, 0.0, 1.0), 3))
+    model = rollers(model, np.abs(model.mesh.points[:, [0, 0, 0]]) > 0.0299)
     probe = Sphere(0.01)
     start, stop = 0.003 + 0.01 + 0.014, 0.003 + 0.01 - 0.006
     once = Solver(model, probe, device=device, options=USUAL).run(line([[0.0, 0.0, start], [0.0, 0.0, stop]], probe))

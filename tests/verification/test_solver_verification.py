@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from frame_checks import with_supports
+from frame_checks import rollers
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -12,12 +12,6 @@ from vsfsim.physics.laws.law import lame
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
-
-
-def rollers(model, held):
-    """The same body held in single directions: mask (n, 3)."""
-    free = np.where(held, 0.0, 1.0).ravel()
-    return with_supports(model, free)
 
 
 def walls(model, *, all_sides):
