@@ -156,20 +156,17 @@ def _shown(board: Board) -> dict[str, Any]:
 
 
 def chart(board: Board) -> dict[str, Any]:
-    """What `chart.svg` draws of a board: the metric after every number of touches of each ranked method, by its first
-    row, and of the ceilings, and what came out in words; {} where nothing is ranked."""
+    """What `chart.svg` draws of a board: the metric after every number of touches of the ceilings and then of each
+    ranked method, by its first row; {} where nothing is ranked."""
     task, rows, ceiling = board.task, dict[str, Row](), possible(board)
     for row in sorted((row for row in board.rows if row.rank or row.mark == CEILING), key=lambda row: row.rank or 0):
         rows.setdefault(row.result.method, row)
     if not (ranked := [row for row in rows.values() if row.rank]):
         return {}
-    ties, share = [row.rank for row in ranked].count(1), share_of_possible(ranked[0], ceiling)
-    said = f"Rank 1 of {len(ranked)} methods: {ranked[0].result.method}" + (
-        f", and {ties - 1} that the data do not separate from it" if ties > 1 else "") + (
-        "" if share is None else f". It closes {share:.0%} of the gap between predicting zero and the ceiling")
-    at = [[interval(row.values[label]).mean for label in task.protocol.labels] for row in rows.values()]
-    return {"task": task, "unit": unit_of(task.primary, task.observation.unit), "said": said, "ceiling": ceiling,
-            "lines": [{"row": row, "area": interval(row.values[AREA]), "at": of} for row, of in zip(rows.values(), at)]}
+    lines = [{"row": row, "area": interval(row.values[AREA]), "at": [
+        interval(row.values[label]).mean for label in task.protocol.labels]} for row in rows.values()]
+    return {"task": task, "unit": unit_of(task.primary, task.observation.unit), "ceiling": ceiling, "lines": lines,
+            "ranked": ranked, "share": share_of_possible(ranked[0], ceiling)}
 
 
 def title(task: Task) -> str:

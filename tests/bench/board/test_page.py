@@ -53,7 +53,7 @@ def test_the_chart_has_each_method_once_and_its_errors_where_the_axis_has_them(n
     board = leaderboard.collect(load_task(name))
     found, methods = leaderboard.chart(board), {row.result.method for row in board.rows if row.rank}
     svg = filled("chart.svg", chart=found, alone=True)
-    assert found["said"].startswith(f"Rank 1 of {len(methods)} methods: {board.rows[0].result.method}")
+    assert f'aria-label="Rank 1 of {len(methods)} methods: {board.rows[0].result.method}' in svg
     assert all(svg.count(f">{one}</text>") == 1 for one in methods)
     (zero,), (one,) = (re.findall(rf'<text x="([\d.]+)" y="[\d.]+" text-anchor="middle">{k}<', svg) for k in "01")
     drawn = [float(x) for x in re.findall(r'<circle cx="([\d.]+)" cy="[\d.]+" r="4.5" fill="var\(--link', svg)]
