@@ -116,20 +116,17 @@ def audits() -> str:
     from vsfsim.bench.task import load_task
     from vsfsim.core.shelf import tasks
 
-    def correlations(found: tuple[tuple[str, int, float], ...]) -> str:
-        cells = [f"{value:.2f} ({name.rpartition('-v1-')[2]}, {rows} rows)" for name, rows, value in found]
-        return ", ".join(cells) or NOT
-
     head = ["task", "rows", "best row", "neighbours that differ", "least difference told",
             *(f"sees only: {kind}" if kind != "constant" else "sees nothing" for kind in KINDS), "over-fit"]
     table = []
     for task in map(load_task, tasks()):
         found = audit(task, [], measure=False)
         shortcut = {s.sees: f"{s.mean:.3f} ± {s.error:.3f}" for s in found.shortcuts}
-        pairs = found.rows - 1
+        pairs, fresh = found.rows - 1, ", ".join(
+            f"{value:.2f} ({name.rpartition('-v1-')[2]}, {rows} rows)" for name, rows, value in found.fresh)
         table.append([f"`{task.name}`", str(found.rows), found.best or "none yet",
                       f"{found.told} of {pairs}" if pairs > 0 else NOT, f"{found.least:.3f}" if pairs > 0 else NOT,
-                      *(shortcut.get(kind, NOT) for kind in KINDS), correlations(found.fresh)])
+                      *(shortcut.get(kind, NOT) for kind in KINDS), fresh or NOT])
     return "<!-- vsfsim lab audit TASK, of each task -->\n" + piped(head, table)
 
 
@@ -163,13 +160,12 @@ RESULTS = {one.__name__: one for one in (charts, boards, studies, claims, audits
 def measurement(name: str, tables: int, **settings: Any) -> str:
     """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes."""
     found = importlib.import_module(f"measurements.{MODULES.get(name, name)}").measure(progress=print, **settings)
-    words = name + (f" --tier {settings['tier']}" if "tier" in settings else "")
-    return with_notes(found, words, found.tables[:tables])
+    return with_notes(found, name, settings.get("tier"), found.tables[:tables])
 
 
-def with_notes(found: Any, words: str, tables: list) -> str:
-    """Tables of a measurement with the machine, the day and the notes."""
-    text = written(found, words, f"{found.machine}, {found.date}.", tables)
+def with_notes(found: Any, name: str, tier: str | None, tables: list) -> str:
+    """Tables of `vsfsim measure NAME`, at one ``tier`` or at all, with the machine, the day and the notes."""
+    text = written(found, name + (f" --tier {tier}" if tier else ""), f"{found.machine}, {found.date}.", tables)
     return text + "\n" * bool(found.notes) + "".join(f"- {note[0].upper()}{note[1:]}.\n" for note in found.notes)
 
 
@@ -181,8 +177,7 @@ def recorded(name: str, files: list[Path]) -> str:
     module = importlib.import_module(f"measurements.{MODULES.get(name, name)}")
     found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
-    tier = records[0]["settings"].get("tier")
-    return with_notes(dataclasses.replace(found, **of), name + (f" --tier {tier}" if tier else ""), list(found.tables))
+    return with_notes(dataclasses.replace(found, **of), name, records[0]["settings"].get("tier"), list(found.tables))
 
 
 def written(found: Any, words: str, about: str, tables: list) -> str:
