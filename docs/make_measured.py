@@ -131,26 +131,30 @@ def audits() -> str:
 
 
 def reality() -> str:
-    """The rows of the task of real presses beside those of the same methods on simulated shoes, and how far their
-    orders agree."""
+    """The rows of the task of real presses beside those of the same methods on simulated ones like them, and on
+    simulated shoes, and how far their orders agree."""
     from scipy.stats import kendalltau
 
     from vsfsim.bench.leaderboard import labels_of
 
-    names, rows = ("real-palpation-v1", "fewshot-shoes-v3-mini-v1"), []
+    names, rows, said = ("real-palpation-v1", "palpation-mini-v1", "fewshot-shoes-v3-mini-v1"), [], []
     for name in names:
         ranked = [row for row in board_of(name).rows if row.rank is not None]
         rows.append({label: (row.rank, row.scores["rmse_ratio"]["5"].mean) for label, row in zip(
             labels_of(ranked), ranked)})
-    both = [label for label in rows[0] if label in rows[1]]
-    if len(both) < 3:
-        return "Fewer than three methods have rows on both tasks at this release.\n"
-    found = kendalltau(*([of[label][1] for label in both] for of in rows))
-    cells = [[label, *(f"{of[label][0]} ({of[label][1]:.3f})" for of in rows)] for label in both]
-    return (f"<!-- vsfsim leaderboard --task {names[0]}; vsfsim leaderboard --task {names[1]} -->\nRank, and error "
-            f"over that of predicting zero after five touches, of the {len(both)} rows that both tasks have. Kendall's "
-            f"tau of the errors is {found.statistic:.2f} (p = {found.pvalue:.2g} for no relation).\n\n"
-            + piped(["method", *(f"`{name}`" for name in names)], cells))
+    for name, others in zip(names[1:], rows[1:]):
+        both = [label for label in rows[0] if label in others]
+        if len(both) < 3:
+            said.append(f"Fewer than three of them have rows on `{name}` at this release.")
+            continue
+        found = kendalltau(*([of[label][1] for label in both] for of in (rows[0], others)))
+        said.append(f"With the {len(both)} that `{name}` has, too, Kendall's tau of the errors is "
+                    f"{found.statistic:.2f} (p = {found.pvalue:.2g} for no relation).")
+    cells = [[label, *(f"{of[label][0]} ({of[label][1]:.3f})" if label in of else NOT for of in rows)]
+             for label in rows[0]]
+    made = "; ".join(f"vsfsim leaderboard --task {name}" for name in names)
+    return (f"<!-- {made} -->\nRank, and error over that of predicting zero after five touches, of the rows of "
+            f"`{names[0]}`. {' '.join(said)}\n\n" + piped(["method", *(f"`{name}`" for name in names)], cells))
 
 
 RESULTS = {one.__name__: one for one in (charts, boards, studies, claims, audits, reality)}

@@ -1,5 +1,6 @@
 """Touches that differ in tilt, depth and start, and a probe that a spring carries."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.physics import tiers
+from vsfsim.physics.mesh.resolved import LIMIT
 from vsfsim.physics.solve.touches import Solver
 
 SPRING = 800.0
@@ -54,3 +56,27 @@ def test_the_mount_goes_as_planned(made):
         assert touch.mount_stiffness == SPRING
         gone = (touch.mount_pose - touch.probe_pose())[:, :3, 3] @ touch.axis
         assert gone == pytest.approx(touch.normal_force() / SPRING, abs=1e-12)
+
+
+def _aimed(*pairs, **values):
+    job = jobs_of(make_recipe(scene("varied", *pairs, **values), objects=1), Path("varied.toml"), Path())[0]
+    subject = prepare(job, device="cpu")
+    return job, subject, EFFECTOR.aim(subject, device="cpu")
+
+
+def test_a_contact_that_is_noticed_late_is_a_deeper_press_than_recorded():
+    _, subject, aims = _aimed(("tilt =", "late_range = [0.001, 0.002]\ntilt ="))
+    assert len({a.late for a in aims}) == len(aims) and all(0.001 <= a.late <= 0.002 for a in aims)
+    deeper = [dataclasses.replace(a, contact=a.contact + a.late * a.axis, late=0.0) for a in aims]
+    both = [EFFECTOR.touch(subject, some, device="cpu") for some in (aims, deeper)]
+    for a, recorded, real in zip(aims, *both, strict=True):
+        assert recorded.force == pytest.approx(real.force, abs=1e-9) and recorded.normal_force()[1] > 0.1
+        off = (real.mount_pose - recorded.mount_pose)[:, :3, 3]
+        assert off == pytest.approx(np.tile(a.late * a.axis, (len(off), 1)), abs=1e-12)
+
+
+def test_elements_of_each_touch_are_small_where_it_meets_the_object():
+    for edge, resolves in ("", False), ("contact_edge = 0.5\n", True):
+        job, *_ = _aimed(("sphere = 0.015", "sphere = 0.004"), ("tilt =", f"{edge}tilt ="), mount_stiffness=None)
+        for touch in EFFECTOR.make_view(job, device="cpu").touches:
+            assert (touch.audit["mesh_error"].max() <= LIMIT) == resolves and touch.converged.all()

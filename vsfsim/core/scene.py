@@ -216,7 +216,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
                          + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None
                             else ", or a [sensor] and [[obstacles]] for it to press on."))
     touches = tree["touches"] if isinstance(tree.get("touches"), Mapping) else {}
-    strange = {"level", "other"} if effector != "probe" else set()
+    strange = {"level", "other", "late_range", "contact_edge"} if effector != "probe" else set()
     if effector == "arm":  # it draws its own directions
         strange |= {"tilt", "depth_range", "approach_range"}
     for key in (key for key, given in touches.items() if given and key in strange):

@@ -51,6 +51,8 @@ class Aim:
     """Distance of its start before first contact [m]; None for the scene's."""
     press: int = 0
     """Which of the scene's kinds of press it is (`Scene.presses`)."""
+    late: float = 0.0
+    """By how much the probe is deeper than its recorded poses say [m]."""
     path: np.ndarray | None = None
     """Planned poses of the probe or its mount (T, 4, 4) [m]; None for the effector's own plan."""
     start: np.ndarray | None = None
@@ -190,6 +192,7 @@ def _aim_at(press: Scene, model: Model, samples: np.ndarray, target: np.ndarray,
     if spec.tilt != 0.0:
         axis = tilted(axis, spec.tilt, rng)
     depth, approach = spec.draw_depth(rng), spec.draw_approach(rng)
+    late = 0.0 if spec.late_range is None else float(rng.uniform(*spec.late_range))
     size = sdf.support(probe, turn_to(axis, probe).T @ axis)
     # the probe starts outside the whole body, so that what it meets first is the first thing on its line
     away = float(np.linalg.norm(samples - target, axis=1).max()) + 2.0 * size
@@ -198,11 +201,11 @@ def _aim_at(press: Scene, model: Model, samples: np.ndarray, target: np.ndarray,
     contact = pose[:3, 3] + gone * axis if np.isfinite(gone) else target - size * axis
     if (target - contact) @ axis - size > BLOCKED:
         return None
-    ends = [contact - approach * axis, contact + depth * axis]
+    ends = [contact - approach * axis, contact + (depth + late) * axis]
     down = sdf.support(probe, pose[:3, :3].T @ np.array([0.0, 0.0, -1.0]))
     if min(p[2] for p in ends) - down < 0.0:
         return None
-    return Aim(target, normal, axis, contact, depth, approach)
+    return Aim(target, normal, axis, contact, depth, approach, late=late)
 
 
 def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -66,11 +67,16 @@ class OnSolids(abc.ABC):
         """Build, look, aim, press."""
         subject = prepare(job, device=device)
         aims = self.aim(subject, device=device)
-        promise = job.recipe.options.get("accuracy")
-        touches = (self.touch(subject, aims, device=device) if promise is None
-                   else self._promised(subject, aims, promise, device=device))
-        probe, each, friction = self.shapes(subject, aims)
+        promise, share = job.recipe.options.get("accuracy"), subject.scene.required_touches.contact_edge
         edge = tiers.element_size(subject.scene.required_object, job.recipe.tier, subject.scene.probe)
+        if promise is not None:
+            touches = self._promised(subject, aims, promise, device=device)
+        elif share is not None:
+            own = Setting(job.recipe.tier, edge, level=math.log(LOCAL / share, RATIO))
+            touches = self.touched(subject, aims, own, device=device)
+        else:
+            touches = self.touch(subject, aims, device=device)
+        probe, each, friction = self.shapes(subject, aims)
         finer = () if promise is None else [subject.again(job.recipe.tier, {"resolution": edge / RATIO**k}).model
                                             for k in range(1, MESHES)]
         truth = truth_of(subject.model, subject.view, touches, each, friction=friction, device=device, finer=finer)
@@ -78,12 +84,13 @@ class OnSolids(abc.ABC):
                           subject.recorded, tuple(touches), truth,
                           tuple(press.probe for press in subject.scene.presses[1:]))
 
-    def near(self, subject: Subject, a: Aim, options: Mapping[str, Any]) -> Subject:
-        """The object at the tier of the limit, with small elements where a touch meets it.
+    def near(self, subject: Subject, a: Aim, tier: str, options: Mapping[str, Any]) -> Subject:
+        """The object at a tier, with small elements where a touch meets it.
 
         Args:
             subject: the object.
             a: the touch.
+            tier: of the model.
             options: of the recipe, see `Job.scene`; the resolution is that of the elements elsewhere, ``contact`` the
                 level of those where it touches, see `LOCAL`.
 
@@ -92,25 +99,25 @@ class OnSolids(abc.ABC):
         """
         scene, options = subject.scene, {**subject.job.recipe.options, **options}
         radius, size = self.contact_edge(scene, a, options["contact"])
-        own = tiers.element_size(dataclasses.replace(scene.required_object, resolution=None), LIMIT_TIER, scene.probe)
+        own = tiers.element_size(dataclasses.replace(scene.required_object, resolution=None), tier, scene.probe)
         # what `tiers.body` makes of the half-width of an edge
-        share = tiers.TIERS[LIMIT_TIER].probe * min(1.0, options.get("resolution", own) / own)
+        share = tiers.TIERS[tier].probe * min(1.0, options.get("resolution", own) / own)
         side = np.cross(a.axis, np.eye(3)[np.abs(a.axis).argmin()])
         side /= np.linalg.norm(side)
         at = a.target + size * _disc(radius / size) @ np.stack([side, np.cross(a.axis, side)])
         ends = np.stack([at - 2.0 * radius * a.axis, at + 2.0 * radius * a.axis])
-        return subject.again(LIMIT_TIER, options, edges=EdgePath(ends, np.full(len(at), size / share)))
+        return subject.again(tier, options, edges=EdgePath(ends, np.full(len(at), size / share)))
 
-    def contact_edge(self, scene: Scene, a: Aim, level: int) -> tuple[float, float]:
+    def contact_edge(self, scene: Scene, a: Aim, level: float) -> tuple[float, float]:
         """Radius of the disc that a touch will meet, sqrt(r d) of a ball of radius r that is pressed d deep (Hertz),
         and longest edge of the elements in it on a ``level``, see `LOCAL` [m]."""
-        radius = float(np.sqrt(self.reach(scene) * a.depth))
+        radius = float(np.sqrt(self.reach(scene) * (a.depth + a.late)))
         return radius, LOCAL * radius / RATIO**level
 
     def on(self, subject: Subject, a: Aim, setting: Setting) -> Subject:
         """The object under a setting, where it has a level as `near` for this touch; errors as there."""
         return (subject.again(setting.tier, setting.options()) if setting.level is None
-                else self.near(subject, a, setting.options()))
+                else self.near(subject, a, setting.tier, setting.options()))
 
     def touched(self, subject: Subject, aims: Sequence[Aim], setting: Setting, *, device: str) -> list[Touch]:
         """The touches of a subject under a setting, each on a mesh of its own where that has a level."""

@@ -47,10 +47,12 @@ def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device:
         poses = np.stack([a.path if a.path is not None else
                           touch_path(scene.required_touches, scene.probe, a.contact, a.axis, depth=a.depth,
                                      approach=a.approach) for a in part], axis=1)
+        real = poses.copy()
+        real[..., :3, 3] += [a.late * a.axis for a in part]
         solver = Solver(model, scene.bodies, friction=scene.frictions, device=device,
                         options=options, linear=not tiers.TIERS[tier].nonlinear, law=contact_law_of(scene))
         width = len(part)
-        placed = np.stack([body_poses(scene, poses[:, k]) for k in range(width)], axis=1)
+        placed = np.stack([body_poses(scene, real[:, k]) for k in range(width)], axis=1)
         frames = solver.run(placed, start=body_poses(scene, starts(scene, part, poses[0])), keep=keep,
                             mount=None if spring is None else Mount(spring, np.stack([a.axis for a in part])),
                             progress=None if progress is None else lambda _, k=width: progress(k))  # type: ignore[misc]

@@ -42,6 +42,13 @@ class TouchSpec:
     """Bounds that each touch's own depth is drawn from [m]; None: every touch has ``depth``."""
     approach_range: Range | None = None
     """Bounds that each touch's own approach is drawn from [m]; None: every touch has ``approach``."""
+    late_range: Range | None = None
+    """Bounds that each touch draws from by how far past first contact the probe is where its recorded depth is zero,
+    because the robot noticed the contact late: it goes deeper by that than recorded [m]. None: by nothing. ``depth``
+    and ``force_limit`` count from the recorded contact."""
+    contact_edge: Annotated[float, between(0.1, 1.0)] | None = None
+    """Longest edge of the elements where a touch meets the object, over the radius of its contact: each touch has a
+    mesh of its own, see `vsfsim.generate.on_solids` [-]. None: all touches of an object have one mesh."""
     plan: bool = False
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
@@ -56,11 +63,15 @@ class TouchSpec:
     drawn. Every second touch is one of them, in turn."""
 
     def __post_init__(self) -> None:
-        for key, least in (("depth_range", 1e-5), ("approach_range", 1e-4)):
+        for key, least in (("depth_range", 1e-5), ("approach_range", 1e-4), ("late_range", 1e-5)):
             low, high = getattr(self, key) or (least, least)
             if not least <= low <= high <= 0.5:
                 raise ValueError(f"{key} is [{low:g}, {high:g}]; it must satisfy {least:g} <= low <= high <= 0.5 "
                                  f"(metres)")
+        start = (self.approach_range or (self.approach,))[0]
+        if self.late_range is not None and self.late_range[1] >= start:
+            raise ValueError(f"late_range ends at {self.late_range[1]:g} m, but a touch starts {start:g} m before the "
+                             f"contact that it records, so that it would begin in the object; make approach longer")
 
     def kind(self, touch: int) -> int:
         """What touch number ``touch`` is: 0 for the scene's own press, k for the k-th of ``other``."""

@@ -34,7 +34,7 @@ class Setting:
     """Readings on the way in."""
     nodes: int | None = None
     """Of a bubble."""
-    level: int | None = None
+    level: float | None = None
     """Of the elements where each touch meets the object, see `LOCAL`; None for elements of one size."""
 
     @property
