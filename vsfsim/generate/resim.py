@@ -62,8 +62,8 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their "
                          "plans: its effector takes no paths. Rigid probes and bubbles do.")
     if job.scene().required_touches.contact_edge is not None:
-        raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their plans: each has a mesh "
-                         f"of its own (contact_edge in [touches]), which the plan does not say.")
+        raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from plans, "
+                         "which do not say the mesh of each (contact_edge in [touches]).")
     if not tier:
         return job
     # what a tier that does not show the scene's needs errs is what is asked

@@ -43,12 +43,11 @@ class TouchSpec:
     approach_range: Range | None = None
     """Bounds that each touch's own approach is drawn from [m]; None: every touch has ``approach``."""
     late_range: Range | None = None
-    """Bounds that each touch draws from by how far past first contact the probe is where its recorded depth is zero,
-    because the robot noticed the contact late: it goes deeper by that than recorded [m]. None: by nothing. ``depth``
-    and ``force_limit`` count from the recorded contact."""
+    """Bounds from which each touch draws how much deeper the probe is than recorded, as by a robot
+    that notices contact late [m]; None: nothing. ``depth`` and ``force_limit`` are as recorded."""
     contact_edge: Annotated[float, between(0.1, 1.0)] | None = None
-    """Longest edge of the elements where a touch meets the object, over the radius of its contact: each touch has a
-    mesh of its own, see `vsfsim.generate.on_solids` [-]. None: all touches of an object have one mesh."""
+    """Longest edge of elements where a touch meets the object, over the radius of its contact [-]:
+    each touch has its own mesh, see `vsfsim.generate.on_solids`. None: one for all touches."""
     plan: bool = False
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
@@ -70,8 +69,9 @@ class TouchSpec:
                                  f"(metres)")
         start = (self.approach_range or (self.approach,))[0]
         if self.late_range is not None and self.late_range[1] >= start:
-            raise ValueError(f"late_range ends at {self.late_range[1]:g} m, but a touch starts {start:g} m before the "
-                             f"contact that it records, so that it would begin in the object; make approach longer")
+            raise ValueError(f"late_range ends at {self.late_range[1]:g} m, and a touch starts "
+                             f"{start:g} m before its recorded contact, so that it would begin in "
+                             f"the object; make approach longer")
 
     def kind(self, touch: int) -> int:
         """What touch number ``touch`` is: 0 for the scene's own press, k for the k-th of ``other``."""
