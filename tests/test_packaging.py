@@ -23,7 +23,7 @@ from vsfsim.core.extras import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = {"scenes": ("*.toml", "*.py", "tables/*.toml", "scans/*.obj"),
-           "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml"),
+           "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml", "archives/*.zip"),
            "baselines": ("*.toml", "**/*.py"),
            "leaderboard": ("*.toml", "**/*.json", "**/*.md", "*.py")}
 METHODS = {"gaussian", "gaussian-zero", "point-vsf"}

@@ -42,6 +42,7 @@ from vsfsim.core.system import engines
 from vsfsim.core.system.engines import HERE, Fan
 from vsfsim.core.system.file_lock import release, take
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.formats.archive import unpack
 
 
 def evaluate(method: str, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
@@ -138,7 +139,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     for choice in rows.values():
         if choice.method not in ceilings():
             check_name(choice.method)
-    data = open_dataset(task, dataset.path if isinstance(dataset, Dataset) else dataset)
+    data = data_of(task, dataset.path if isinstance(dataset, Dataset) else dataset, progress)
     isolation, wanted = Isolation(sandbox, timeout, memory), list[Evaluation]()
     for path, choice in rows.items():
         known = None if again else _kept(path, task, data.sha256, choice, seeds)
@@ -155,6 +156,14 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
             except VsfsimError as error:
                 yield Made(path, failure=error)
     yield from make(wanted, workers, check=check, fan=fan, progress=progress)
+
+
+def data_of(task: Task, path: str | Path | None = None, progress: Progress = lambda *_: None) -> Dataset:
+    """The task's dataset, unpacked if it is missing and its archive is there (`vsfsim.data.formats.archive`); operands
+    and errors as of `vsfsim.bench.task.open_dataset`."""
+    if path is None:
+        unpack(task.dataset, task.dataset.path(), lambda said: progress(0, 1, said))
+    return open_dataset(task, path)
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:

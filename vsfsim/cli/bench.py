@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,8 +69,8 @@ def evaluate(task: TaskName,
     """
     from vsfsim.bench.commands import catalogue
     from vsfsim.bench.commands.ceiling import ceiling_rows
-    from vsfsim.bench.evaluate import evaluate_all
-    from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.bench.evaluate import data_of, evaluate_all
+    from vsfsim.bench.task import load_task
 
     given, names = parameters_of(parameters), list(method or [])
     if every == bool(names):
@@ -87,7 +88,7 @@ def evaluate(task: TaskName,
         chosen = catalogue.choices(reads, str(given.get("device", "")), answer,
                                    chosen=wanted.protocol.support == "chosen")
         rows = [row for row in chosen if preset in ("", row.preset)]
-        rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
+        rows += ceiling_rows(wanted, data_of(wanted, dataset)) if not preset else []
         folder = out or Path("results") / wanted.name
         paths = {result_path(folder / f"{row.stem}.json", wanted.name, row.stem): row for row in rows}
     else:
@@ -106,8 +107,7 @@ def evaluate(task: TaskName,
     if tables:
         results = [(one.result, one.path) for one in made if one.result is not None]
         numbers = [{**result.summary(), "written": str(path)} for result, path in results]
-        report("\n\n".join(_scored(result, path, wanted) for result, path in results),
-               numbers[0] if len(numbers) == 1 else numbers, json)
+        report(_scored(results, wanted), numbers[0] if len(numbers) == 1 else numbers, json)
         return
     write_json([{"method": paths[one.path].method, "preset": paths[one.path].preset, "state": one.state,
                  "written": str(one.path)} for one in made], json)
@@ -122,19 +122,25 @@ def evaluate(task: TaskName,
               f"without a --shard scores them.")
 
 
-def _scored(result: Result, path: Path, task: Task) -> str:
-    """What is printed of a result."""
-    from vsfsim.bench.leaderboard import score_table
+def _scored(results: Sequence[tuple[Result, Path]], task: Task) -> str:
+    """What is printed of results: every metric of one, or of several the metric that ranks."""
     from vsfsim.bench.trials.jobs import log_of
+    from vsfsim.core.text_table import text_table
 
-    t, log = result.timing, log_of(path)
-    learns = f"meta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, " if (
-        "adapts" in t) else ""
-    lines = [f"{score_table(result, task.primary)}\n",
-             f"{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; {len(result.seeds)} seeds; peak "
-             f"memory {result.peak_memory_mib:.0f} MiB", *(f"note: {note}" for note in result.notes)]
-    lines += [f"what the method printed is in {log}"] if log.exists() else []
-    return "\n".join([*lines, f"written to {path}"])
+    head, rows = results[0][0].table(task.primary)
+    if len(results) > 1:
+        head = [rows[0][0], *head[1:]]
+        rows = [[path.stem, *result.table(task.primary)[1][0][1:]] for result, path in results]
+    lines = [text_table(head, rows)]
+    for result, path in results:
+        t, log = result.timing, log_of(path)
+        learns = f"meta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, " if (
+            "adapts" in t) else ""
+        lines += ["", f"{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; {len(result.seeds)} "
+                      f"seeds; peak memory {result.peak_memory_mib:.0f} MiB", *(f"note: {one}" for one in result.notes)]
+        lines += [f"what the method printed is in {log}"] if log.exists() else []
+        lines.append(f"written to {path}")
+    return "\n".join(lines)
 
 
 @command(lab)

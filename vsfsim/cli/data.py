@@ -130,20 +130,21 @@ def verify(folder: Path, against: Path | None = None, json: JsonFile = None) -> 
 
 @command(lab)
 def export(folder: str, to: Annotated[str, typer.Option()], out: Path | None = None, json: JsonFile = None) -> None:
-    """Write a dataset in a format that others load, with its truth beside it.
+    """Write a dataset in a format that others load, with its truth beside it, or as an archive.
 
-    The new folder appears when it is whole; stopped before, there is none.
+    The new folder or archive appears when it is whole; stopped before, there is none. `generate` and `evaluate` take an
+    archive in place of making the dataset if $VSFSIM_ARCHIVES names its folder, or an address that has it.
 
     Args:
         folder (DATASET): Folder of a dataset, or its address.
-        to: lerobot, croissant, webdataset or openvsf.
-        out: New folder; default: DATASET-FORMAT.
+        to: lerobot, croissant, webdataset, openvsf or archive.
+        out: New folder, or that of archives; default: DATASET-FORMAT.
     """
     from vsfsim.data.formats.export import export as run
 
     with Progress("export") as progress:
         made = run(folder, to, out or Path(f"{Path(folder).name}-{to}"), progress)
-    files = [path for path in made.rglob("*") if path.is_file()]
+    files = [path for path in (made, *made.rglob("*")) if path.is_file()]
     size = sum(path.stat().st_size for path in files)
     report(f"{made}: {to}, {len(files)} files, {size / 1e6:.1f} MB",
            {"out": str(made), "format": to, "files": len(files), "bytes": size}, json)

@@ -128,7 +128,7 @@ class Dataset:
         Raises:
             DatasetError: no such name, or the file is missing or damaged.
         """
-        entry, path = self._checked_file(name)
+        entry, path = self.checked_file(name)
         if self.progress is not None:
             self.progress(self.names().index(name), len(self), name)
         return _as_listed(read_view(path, blind=self.is_blind), path, entry)
@@ -140,12 +140,16 @@ class Dataset:
         Raises:
             DatasetError: as `load`.
         """
-        entry, path = self._checked_file(name)
+        entry, path = self.checked_file(name)
         view, places = read_shown(path)
         return _as_listed(view, path, entry), places
 
-    def _checked_file(self, name: str) -> tuple[Entry, Path]:
-        """An entry and its file, after its bytes were compared with the sha256."""
+    def checked_file(self, name: str) -> tuple[Entry, Path]:
+        """The entry of an object view and its file, after its bytes were compared with the sha256.
+
+        Raises:
+            DatasetError: as `load`.
+        """
         names = self.names()
         entry = self.entries[names.index(one_of(name, names, f"the object view of {self.path}", DatasetError))]
         path = self.path / entry.file

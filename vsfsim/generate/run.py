@@ -19,6 +19,7 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import dataset_folder, datasets, find_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import is_url
+from vsfsim.data.formats.archive import unpack
 from vsfsim.data.lines import finished_names, poisoned
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
@@ -115,6 +116,8 @@ def make(plan: Plan) -> Made:
     if asked.accuracy is not None:
         tier, options = bought(loaded, folder, asked, recipe)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
+    if isinstance(folder, Path):
+        unpack(recipe, folder, note)
     jobs = jobs_of(recipe, loaded.path, folder, asked.allow)
     with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard) as writer:
         missing = set(writer.missing())

@@ -12,7 +12,8 @@ from filelock import FileLock, Timeout
 from vsfsim.core.errors import VsfsimError
 
 
-def take(path: Path, target: Path, error: type[VsfsimError], *, needed: bool = False) -> tuple[FileLock, str]:
+def take(path: Path, target: Path, error: type[VsfsimError], *, needed: bool = False,
+         wait: bool = False) -> tuple[FileLock, str]:
     """Lock the file ``path``, which is made if it is missing, its folder too, and write our process id into it.
 
     Args:
@@ -20,6 +21,7 @@ def take(path: Path, target: Path, error: type[VsfsimError], *, needed: bool = F
         target: what is written under the lock, for messages.
         error: the class of the errors.
         needed: whether nothing may be written without a lock, as on a file system that has none.
+        wait: for a process that holds it.
 
     Returns:
         The lock, and the process id that was in the file: of a process that died while it held it, or "".
@@ -30,7 +32,7 @@ def take(path: Path, target: Path, error: type[VsfsimError], *, needed: bool = F
         VsfsimError: of class ``error``; another process holds it, the file cannot be written, or the file system lacks
             locks and one is needed.
     """
-    lock = FileLock(path, timeout=0, thread_local=False)
+    lock = FileLock(path, timeout=-1 if wait else 0, thread_local=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -16,10 +16,11 @@ from vsfsim.core.errors import one_of
 from vsfsim.core.extras import require
 from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.disk import whole_folder
+from vsfsim.data.formats.archive import write_archive
 from vsfsim.data.records import ObjectView, values_of
 from vsfsim.data.schema import fields_of
 
-FORMATS = ("lerobot", "croissant", "webdataset", "openvsf")
+FORMATS = ("lerobot", "croissant", "webdataset", "openvsf", "archive")
 
 
 def export(folder: str | Path, to: str, out: str | Path, progress: Progress | None = None) -> Path:
@@ -28,17 +29,19 @@ def export(folder: str | Path, to: str, out: str | Path, progress: Progress | No
     Args:
         folder: of the dataset, or its address.
         to: one of `FORMATS`.
-        out: the new folder.
+        out: the new folder; of an archive the folder that it is put into, among others.
         progress: called with (views done, of how many, name).
 
     Returns:
-        The new folder.
+        The new folder, or the archive.
 
     Raises:
         VsfsimError: no finished dataset, no such format, the folder exists, a package is missing, or the disk refuses.
     """
     one_of(to, FORMATS, "--to")
     dataset, path = Dataset.open(folder, progress=progress), Path(out)
+    if to == "archive":
+        return write_archive(dataset, path)
     with whole_folder(path) as part:
         importlib.import_module(f"vsfsim.data.formats.{to}").export(dataset, part)
     return path

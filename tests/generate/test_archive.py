@@ -1,0 +1,47 @@
+"""An archive of a dataset is taken whole or not at all, and only in place of the dataset that it is of."""
+
+import io
+import zipfile
+
+import pytest
+from mock_dataset import contents, written
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.formats.archive import unpack
+from vsfsim.data.formats.export import export
+from vsfsim.generate.run import generate
+
+
+def packed(files):
+    with zipfile.ZipFile(buffer := io.BytesIO(), "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda data, _: data[:2000], "File is not a zip file"),
+    (lambda data, _: data[:2000] + b"?" + data[2001:], "Bad CRC-32|Corrupt"),
+    (lambda _, files: packed({**files, "../../more": b""}), "more"),
+    (lambda _, files: packed({name: data[:-1] + b"\n" for name, data in files.items()}), "was changed after")])
+def test_a_damaged_one_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, change, message):
+    monkeypatch.setenv("VSFSIM_ARCHIVES", str(tmp_path / "archives"))
+    made = written(tmp_path / "made", touches=2)
+    file = export(made.path, "archive", tmp_path / "archives")
+    file.write_bytes(change(file.read_bytes(), contents(made.path)))
+    with pytest.raises(DatasetError, match=f"archive {file} is not taken: .*({message})"):
+        unpack(made.recipe, tmp_path / "new", print)
+    assert {path.name for path in tmp_path.iterdir()} == {"made", "archives"}
+
+
+def test_generate_takes_the_bytes_of_a_folder_or_an_address(generated, loaded, tmp_path, monkeypatch):
+    made, said = generated("tiny"), []
+    file = export(made.path, "archive", tmp_path)
+    for name, place in (("folder", str(tmp_path)), ("address", f"file://{tmp_path}")):
+        monkeypatch.setenv("VSFSIM_ARCHIVES", place)
+        generate(loaded("tiny"), tmp_path / name, note=said.append)
+        assert f"{tmp_path / name} is unpacked from {place}/{file.name}" in said
+        assert contents(tmp_path / name) == contents(made.path)
+    export(written(tmp_path / "other").path, "archive", tmp_path / "other").rename(file)
+    with pytest.raises(DatasetError, match="not taken: it holds another dataset, of scene mock"):
+        generate(loaded("tiny"), tmp_path / "new")
