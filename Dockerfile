@@ -8,5 +8,5 @@ ENV VSFSIM_COMMIT=$COMMIT
 RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[all,cloud]"
 WORKDIR /out
 # the commands of the README
-CMD ["sh", "-c", "vsfsim evaluate --method near-springs --method surface-gp --preset tuned --task fewshot-shoes-v3-mini-v1 \
+CMD ["sh", "-c", "vsfsim evaluate --method near-springs --method surface-gp --preset tuned --workers 4 --task fewshot-shoes-v3-mini-v1 \
   && vsfsim leaderboard --task fewshot-shoes-v3-mini-v1"]
