@@ -1,6 +1,5 @@
 """An archive of a dataset is taken whole or not at all, and only in place of the dataset that it is of."""
 
-import io
 import zipfile
 
 import pytest
@@ -12,24 +11,19 @@ from vsfsim.data.formats.export import export
 from vsfsim.generate.run import generate
 
 
-def packed(files):
-    with zipfile.ZipFile(buffer := io.BytesIO(), "w") as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    (lambda data, _: data[:2000], "File is not a zip file"),
-    (lambda data, _: data[:2000] + b"?" + data[2001:], "Bad CRC-32|Corrupt"),
-    (lambda _, files: packed({**files, "../../more": b""}), "more"),
-    (lambda _, files: packed({name: data[:-1] + b"\n" for name, data in files.items()}), "was changed after")])
-def test_a_damaged_one_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, change, message):
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(("name", "message"), [
+    ("", "File is not a zip file"), ("../../more", "more"), ("mock-0000-v0.h5", "was changed after")])
+def test_a_damaged_one_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, name, message):
+    """The first half of one, and one with another file."""
     monkeypatch.setenv("VSFSIM_ARCHIVES", str(tmp_path / "archives"))
     made = written(tmp_path / "made", touches=2)
     file = export(made.path, "archive", tmp_path / "archives")
-    file.write_bytes(change(file.read_bytes(), contents(made.path)))
-    with pytest.raises(DatasetError, match=f"archive {file} is not taken: .*({message})"):
+    file.write_bytes(file.read_bytes()[:None if name else 2000])
+    if name:
+        with zipfile.ZipFile(file, "a") as archive:
+            archive.writestr(name, b"")
+    with pytest.raises(DatasetError, match=f"archive {file} is not taken: .*{message}"):
         unpack(made.recipe, tmp_path / "new", print)
     assert {path.name for path in tmp_path.iterdir()} == {"made", "archives"}
 
