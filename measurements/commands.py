@@ -96,6 +96,24 @@ def gpu(scene: str, device: Device = "cuda:0", objects: Several = None, touches:
 
 
 @command(app)
+def promise(scene: Names = None, touches: AtLeastOne = 61, goal: list[float] | None = None,
+            out: Path = Path("promise"), workers: Several = None, json: JsonFile = None) -> None:
+    """Whether touches keep an accuracy that was asked for, with the factor of a pilot, and what that costs beside one
+    setting for all of them.
+
+    Args:
+        scene: Name of a scene with [touches], or the path of its .toml file; may be given again. Default: five.
+        touches: Each of an object of its own, under all settings and with a reference.
+        goal: Accuracy, 0.05 say; may be given again. Default: 5, 2 and 1 %.
+        out: Folder of what was made, which is not made again.
+        workers: Processes; default: one a CPU core.
+    """
+    from measurements.promise import GOALS, SCENES, measure
+
+    _report(measure(scene or SCENES, touches, goals=goal or GOALS, out=out, workers=workers, progress=step), json)
+
+
+@command(app)
 def peers(peer: Names = None, case: Names = None, tier: str = "fem", out: Path = Path("peers"), here: bool = False,
           json: JsonFile = None) -> None:
     """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own.

@@ -10,13 +10,17 @@ import pytest
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
+from vsfsim.cli.simulate import _kept
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene_tables.request import Request
+from vsfsim.data.disk import Store
 from vsfsim.data.manifest import apart, audit_error, error_against, observed, verdict
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
+from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
+from vsfsim.generate.trade.setting import Ground, Setting
 
 
 @pytest.fixture
@@ -46,17 +50,27 @@ def test_the_quantile_is_conformal():
     assert held == pytest.approx(0.95, abs=0.012)
 
 
-def pilot(scene, ground, request):
-    """Touches that imagined settings are off by 300 h^2 (8 % to 20 mm, 1 % to the finest), each 1 s dear."""
+GROUND = Ground("fem-coarse", 0.0099, 390)
+
+
+def test_the_finest_meshes_of_a_promise_serve_its_reference():
+    assert GROUND.ladder(0.05)[1:] == GROUND.ladder(0.02)[:2] == GROUND.steps()[2:]
+    for ladder in (GROUND.ladder(0.05), GROUND.ladder()):
+        assert [s.resolution for s in ladder] == sorted((s.resolution for s in ladder), reverse=True)
+        assert [s.level for s in ladder] == sorted(s.level for s in ladder)
+
+
+def touches(scene, ground, asked, request, store):
+    """Touches that imagined settings are off by 300 h^2 (8 % to 20 mm, 0.6 % to the finest), each 1 s dear."""
     fine = [step.resolution * (1.0 if step.level is None else 0.5 / 1.3**step.level) for step in ground.steps()]
     force, found = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 4.0]]), np.ones(2, bool)
     made = [SimpleNamespace(force=force * (1.0 + 300.0 * edge**2), converged=found) for edge in fine]
-    errors = [error_against(one.force, found, force, found) for one in made[1:]]
-    return buy.PILOT * [buy.Tried([apart(*pair) for pair in itertools.pairwise(made)], errors, [1.0] * 5)]
+    errors = [error_against(one.force, found, force, found) for one in made]
+    return request.objects * [buy.Tried([apart(*pair) for pair in itertools.pairwise(made)], errors, [1.0] * 5)]
 
 
 def test_a_pilot_chooses_a_factor_once_or_refuses_with_the_figure(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(buy, "pilot", pilot)
+    monkeypatch.setattr(buy, "touches", touches)
     recipe, said = make_recipe(scene), []
     tier, options = buy.bought(scene, tmp_path / "new", Request(accuracy=0.13, note=said.append), recipe)
     promise = options["accuracy"]
@@ -64,8 +78,30 @@ def test_a_pilot_chooses_a_factor_once_or_refuses_with_the_figure(scene, tmp_pat
     assert tier == "fem-coarse" and promise["factor"] == 1.0 and promise["expected"] == pytest.approx(0.12)
     assert "a pilot of 19 touches of different objects" in said[0]
     assert "19 of 19 end under fem-coarse, 20 mm" in said[1] and "4 touches cost about 8 s" in said[1]
-    with pytest.raises(SceneError, match=r"19 of 19 touches are off by more under .*, the worst by 1.1 %.* 1.1 % or m"):
-        buy.bought(scene, tmp_path / "new", Request(accuracy=0.01), recipe)
+    with pytest.raises(SceneError, match=r"19 of 19 touches .* more under .*, the worst by 0.62 %.* 0.62 % or m"):
+        buy.bought(scene, tmp_path / "new", Request(accuracy=0.005), recipe)
+
+
+def test_a_pilot_that_is_interrupted_goes_on(scene, tmp_path, monkeypatch):
+    asked, made = Request(objects=buy.PILOT, seed=5), []
+
+    def in_pool(function, jobs, *_, **__):
+        for job in jobs:
+            made.append(job.object_index)
+            if len(made) == 8:
+                raise KeyboardInterrupt
+            yield job, buy.Tried([np.inf, 0.1], [np.inf, 0.2, 0.1], [1.0] * 4)
+
+    monkeypatch.setattr(buy, "in_pool", in_pool)
+    store = Store(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        list(buy.touches(scene, GROUND, 0.05, asked, store))
+    assert _kept(tmp_path).startswith("interrupted; 7 touches of the pilot are kept")
+    one = buy.Tried([np.inf, 0.1], [np.inf, 0.2, 0.1], [1.0] * 4)
+    assert list(buy.touches(scene, GROUND, 0.05, asked, store)) == 19 * [one]
+    assert made == [*range(8), *range(7, 19)]
+    assert list(buy.touches(scene, GROUND, 0.2, asked, store)) == 19 * [one] and len(made) == 20
+    assert len(list(buy.touches(scene, GROUND, 0.05, asked.but(seed=6), store))) == 19 and len(made) == 20 + 19
 
 
 @pytest.mark.parametrize(("given", "said"), [("0", "may be 0.1 % to 50 %"), ("300%", "is 300 %"), ("5", "is 500 %"),
@@ -115,11 +151,21 @@ def test_the_error_of_a_touch_is_that_of_its_worst_reading(what):
 
 
 @pytest.mark.slow
+def test_a_touch_of_a_pilot(scene, tmp_path):
+    job = jobs_of(make_recipe(scene, touches=1), scene.path, tmp_path)[0]
+    steps = [Setting("fem-coarse", 0.03), Setting("fem-coarse", 0.02), Setting("fem", 0.02, level=-1)]
+    ladder = [Setting("fem", 0.03, level=-2), steps[-1], Setting("fem", 0.02, level=0)]
+    one = buy._tried(job, steps, ladder, "cpu")
+    assert len(one.differences) == 2 and len(one.errors) == 3 and len(one.seconds) == 4
+    assert min(one.seconds) > 0.0 and 0.0 < one.errors[2] < 0.5 and one.differences[0] > 0.0
+
+
+@pytest.mark.slow
 def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, here, monkeypatch):
-    monkeypatch.setattr(buy, "pilot", pilot)
+    monkeypatch.setattr(buy, "touches", touches)
     monkeypatch.setattr(buy, "AUDITS", (1, 1))
     made = run.generate(scene, tmp_path / "data", accuracy=0.5, objects=1)
-    monkeypatch.setattr(buy, "pilot", None)  # a second pilot would fail
+    monkeypatch.setattr(buy, "touches", None)  # a second pilot would fail
     run.generate(scene, tmp_path / "data", accuracy=0.5, objects=1)
     stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
     assert stored["accuracy"]["asked"] == 0.5

@@ -127,11 +127,12 @@ def generate(scene: SceneName, request: Request, out: str | None = None, json: J
 
 def _kept(folder: Path | str) -> str:
     from vsfsim.data.disk import Store
-    from vsfsim.data.lines import finished_names
+    from vsfsim.data.lines import FOLDER, TOUCH, finished_names
 
-    kept = len(finished_names(Store(folder)))
-    return (f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again to make the "
-            f"others." if kept else "interrupted; nothing was finished, so nothing is kept.")
+    kept, tried = len(finished_names(Store(folder))), sum(name.endswith(TOUCH) for name in Store(folder).sizes(FOLDER))
+    what = f"{kept} finished object views are" if kept else f"{tried} touches of the pilot are" if tried else ""
+    return (f"interrupted; {what} kept in {folder}. Run the same command again to make the others." if what
+            else "interrupted; nothing was finished, so nothing is kept.")
 
 
 def _terminated(*_: Any) -> NoReturn:

@@ -26,7 +26,7 @@ from vsfsim.data.records import ObjectView
 
 FOLDER = "manifest"
 KIND = f"{FOLDER}/kind"
-_LINE, _FAILED = ".json", ".failed"
+_LINE, _FAILED, TOUCH = ".json", ".failed", ".touch"
 MOST_FAILURES = 2
 """A view that failed so often is not tried again in a run that allows `poison`."""
 

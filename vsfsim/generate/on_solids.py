@@ -124,15 +124,17 @@ class OnSolids(abc.ABC):
         return [one for some in ([aims] if setting.level is None else [[a] for a in aims]) if some
                 for one in self.touch(self.on(subject, some[0], setting), some, device=device)]
 
-    def reference(self, subject: Subject, a: Aim, ladder: Sequence[Setting], *, device: str) -> dict[str, np.ndarray]:
+    def reference(self, subject: Subject, a: Aim, ladder: Sequence[Setting], *, made: Mapping[Setting, Touch],
+                  device: str) -> dict[str, np.ndarray]:
         """Columns of the audit of a touch: its force extrapolated from the meshes of a ladder, its error (see
-        `vsfsim.physics.convergence.curve_limit`), and the frames with an equilibrium on all of them."""
-        made = [self.touched(subject, [a], setting, device=device)[0] for setting in ladder]
-        found = np.all([one.converged & np.isfinite(one.force).all(axis=1) for one in made], axis=0)
+        `vsfsim.physics.convergence.curve_limit`), and the frames with an equilibrium on all of them. What is ``made``
+        already is not made again."""
+        each = [made.get(setting) or self.touched(subject, [a], setting, device=device)[0] for setting in ladder]
+        found = np.all([one.converged & np.isfinite(one.force).all(axis=1) for one in each], axis=0)
         value, error = np.zeros((len(found), 3)), np.zeros(len(found))
         if found.any():
             edge = [self.contact_edge(subject.scene, a, setting.level or 0)[1] for setting in ladder]
-            limit = curve_limit(edge, np.stack([one.force[found] for one in made]),
+            limit = curve_limit(edge, np.stack([one.force[found] for one in each]),
                                 tolerance=tiers.TIERS[LIMIT_TIER].tolerance)
             value[found], error[found] = limit.value, np.linalg.norm(limit.error, axis=1)
         return {"reference_force": value, "reference_error": error, "reference_converged": found}
@@ -153,7 +155,7 @@ class OnSolids(abc.ABC):
         audits = promise["audits"] * (view + 1) // views - promise["audits"] * view // views
         rng = np.random.default_rng(job.stream(Stream.AUDIT))
         for k in rng.permutation(len(out))[:audits].tolist():
-            wanted = self.reference(subject, aims[k], ladder, device=device)
+            wanted = self.reference(subject, aims[k], ladder, made={}, device=device)
             out[k] = dataclasses.replace(out[k], audit={**out[k].audit, **wanted})
         return out
 

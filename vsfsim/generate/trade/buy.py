@@ -9,7 +9,10 @@ ceil(0.95 (n + 1))-th smallest of these, 95 % of further touches are kept on ave
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import itertools
+import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +28,9 @@ from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.disk import Store
+from vsfsim.data.lines import FOLDER, TOUCH
 from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, apart, error_against
+from vsfsim.data.provenance import made_by
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
 from vsfsim.generate.effector import effector_of, kernels_of
@@ -33,7 +38,7 @@ from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
-from vsfsim.generate.trade.setting import Ground
+from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.generate.workers import in_pool
 from vsfsim.physics import tiers
 from vsfsim.physics.runtime import compile_kernels
@@ -73,15 +78,15 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
         return there["tier"], {"accuracy": there["options"]["accuracy"]}
     said = request.note or (lambda sentence: None)
     (ground, _), tried = ground_of(loaded, device=request.device), list[Tried]()
-    steps, ladder = ground.steps(), ground.ladder()
-    for touch in pilot(loaded, ground, request):
+    steps, ladder = ground.steps(), ground.ladder(asked)
+    for touch in touches(loaded, ground, asked, request.but(seed=request.seed + SEED, objects=PILOT), Store(folder)):
         tried.append(touch)
         if len(tried) == 1:
             said(f"--accuracy {100 * asked:g} %: a pilot of {PILOT} touches of different objects, about "
                  f"{PILOT * sum(touch.seconds):.0f} s of processor time")
         if request.progress is not None:
             request.progress(len(tried), PILOT, "touches of the pilot")
-    factor = quantile([least_factor(touch.differences, touch.errors, asked) for touch in tried])
+    factor = quantile([least_factor(touch.differences, touch.errors[1:], asked) for touch in tried])
     last = [touch.errors[-1] for touch in tried]
     if math.isinf(factor):
         off = sum(error > asked for error in last)
@@ -96,54 +101,66 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     said(f"the error of a touch is taken as {factor:.2g} times the difference of two settings: "
          + ", ".join(f"{ends.count(k)} of {PILOT} end under {steps[k + 1].key}" for k in sorted(set(ends)))
          + f"; {total} touches cost about {total * sum(cost) / PILOT:.0f} s of processor time, and the audits of "
-         f"{audits} of them {audits * sum(touch.seconds[-1] for touch in tried) / PILOT:.0f} s")
+         f"{audits} of them {audits * sum(sum(touch.seconds[2:]) for touch in tried) / PILOT:.0f} s")
     promise = {"asked": asked, "factor": factor, "touches": PILOT, "audits": audits,
-               "expected": max(touch.errors[k] for k, touch in zip(ends, tried, strict=True)),
+               "expected": max(touch.errors[k + 1] for k, touch in zip(ends, tried, strict=True)),
                **{name: [s.table() for s in some] for name, some in (("steps", steps), ("ladder", ladder))}}
     return ground.tier, {"accuracy": promise}
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A touch of a pilot."""
+    """A touch under all settings."""
 
     differences: Sequence[float]
     """From each setting to the next [-]."""
     errors: Sequence[float]
-    """Of all settings but the first [-]."""
+    """Of each setting [-]."""
     seconds: Sequence[float]
-    """Processor time of each setting, then of the reference [s]."""
+    """Processor time of each setting, then of what a reference needs besides [s]."""
 
 
-def pilot(loaded: SceneFile, ground: Ground, request: Request) -> Iterator[Tried]:
-    """Its touches as they come, each made by one process.
+def touches(loaded: SceneFile, ground: Ground, asked: float, request: Request, store: Store) -> Iterator[Tried]:
+    """A touch of each object of a request as they come, each made by one process. Each lies in the folder of the lines
+    of a dataset until that is finished, and is not made again there for an accuracy of the same reference.
 
     Raises:
         VsfsimError: of the first that cannot be made; the others are then cancelled.
     """
-    recipe = make_recipe(loaded, request, seed=request.seed + SEED, objects=PILOT, views=1, touches=1)
-    jobs = jobs_of(recipe, loaded.path, ".")
+    recipe, left = make_recipe(loaded, request, views=1, touches=1), list[Job]()
+    steps, ladder = ground.steps(), ground.ladder(asked)
+    words = [recipe.table(), made_by(), *(setting.table() for setting in (*steps, *ladder))]
+    mark = hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
+    for job in jobs_of(recipe, loaded.path, "."):
+        there = from_json(store.get(f"{FOLDER}/{job.name}{TOUCH}") or b"{}")
+        if there.get("of") == mark:
+            yield Tried(there["differences"], there["errors"], there["seconds"])
+        else:
+            left.append(job)
     try:
-        for _, touch in in_pool(_tried, jobs, ground, request.device, device=request.device, workers=request.workers):
+        for job, touch in in_pool(_tried, left, steps, ladder, request.device, device=request.device,
+                                  workers=request.workers):
+            store.put(f"{FOLDER}/{job.name}{TOUCH}", json.dumps({"of": mark, **dataclasses.asdict(touch)}).encode())
             yield touch
     except BrokenProcessPool as error:
         raise DatasetError("a worker process ended before its touch of the pilot was finished, as one does that is "
                            "killed or out of memory. Run the same command again with fewer --workers.") from error
 
 
-def _tried(job: Job, ground: Ground, device: str) -> Tried:
-    """In a process of its own: the touch of a view under all settings, and its reference."""
+def _tried(job: Job, steps: Sequence[Setting], ladder: Sequence[Setting], device: str) -> Tried:
+    """In a process of its own: the touch of a view under all settings, and on the meshes of its reference."""
     subject, made, clock = prepare(job, device=device), list[Touch](), list[float]()
     effector = effector_of(subject.scene)
     assert isinstance(effector, OnSolids)
     (a,) = effector.aim(subject, device=device)
-    for step in ground.steps():
+    for step in steps:
         clock.append(time.process_time())
         made += effector.touched(subject, [a], step, device=device)
     clock.append(time.process_time())
-    force, error, found = effector.reference(subject, a, ground.ladder(), device=device).values()
+    force, error, found = effector.reference(subject, a, ladder, made=dict(zip(steps, made, strict=True)),
+                                             device=device).values()
     return Tried([apart(*pair) for pair in itertools.pairwise(made)],
-                 [error_against(one.force, one.converged, force, found, error) or 0.0 for one in made[1:]],
+                 [error_against(one.force, one.converged, force, found, error) or 0.0 for one in made],
                  np.diff([*clock, time.process_time()]).tolist())
 
 

@@ -11,13 +11,15 @@ RATIO = 1.3
 LOCAL = 0.5
 """Longest edge of the elements where a touch meets the object, over the radius of the contact, on level 0; on each
 further level smaller by `RATIO`, see `vsfsim.generate.on_solids` [-]."""
-STEPS = ((1, None), (0, None), (0, 0), (-1, 1))
+STEPS = ((1, None), (0, None), (0, 1), (-1, 2))
 """Settings that a touch of a promise goes through until it is exact enough: elements as the scene's own times `RATIO`
 to such a power, and the level where it meets the object."""
 LIMIT_TIER = "fem"
 """Of the meshes from which the limit of a touch is extrapolated; its law is that of every finer tier."""
 MESHES = 3
 """Of the limit."""
+ROUGH = 0.05
+"""Accuracy from which the coarser limit will do, whose larger error counts against every touch [-]."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,9 @@ class Ground:
         """Nodes of a bubble whose edges are its own times `RATIO` to such a power."""
         return None if self.nodes is None else round(self.nodes * RATIO ** (-2 * power))
 
-    def ladder(self) -> list[Setting]:
-        """The meshes of the limit, coarsest first, all finer than the scene's own where they are touched; a bubble's
-        grow with the object's."""
-        return [Setting(LIMIT_TIER, self.resolution / RATIO**k, level=k + 1, nodes=self._nodes(-k))
-                for k in range(MESHES)]
+    def ladder(self, asked: float = 0.0) -> list[Setting]:
+        """Meshes of a limit, coarsest first, each finer where it is touched than the scene's own; the last two, or the
+        first two, are the last of `STEPS`. For an accuracy ``asked`` [-] of `ROUGH` and more they begin one coarser,
+        and cost a third. A bubble's meshes grow with the object's."""
+        powers = range(1, 1 - MESHES, -1) if asked >= ROUGH else range(0, -MESHES, -1)
+        return [Setting(LIMIT_TIER, self.resolution * RATIO**p, level=1 - p, nodes=self._nodes(p)) for p in powers]

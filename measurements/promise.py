@@ -1,0 +1,82 @@
+"""`vsfsim measure promise SCENE`: whether touches under `vsfsim generate --accuracy` keep what was asked, and what that
+costs beside one setting for all of them. Touches and their references serve every goal, so that they are made once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measurements.measurement import Column, Measurement, Progress, Table
+from measurements.tradeoff.front import READINGS
+from vsfsim.core.scene import load_scene
+from vsfsim.core.scene_tables.request import Request
+from vsfsim.core.shelf import find_scene
+from vsfsim.data.disk import Store
+from vsfsim.data.manifest import ENOUGH, least_share, verdict
+from vsfsim.generate.trade.buy import PILOT, SEED, Tried, ended, ground_of, least_factor, quantile, touches
+from vsfsim.generate.trade.setting import ROUGH
+
+SCENES = ("foam-block", *(str(Path(__file__).parent / "touched" / f"{name}.toml") for name in ("block", "column")),
+          "shoes-v3-mini", str(Path(__file__).parent / "touched" / "bubble-block.toml"))
+GOALS = (0.05, 0.02, 0.01)
+
+
+def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[float] = GOALS, out: Path,
+            workers: int | None = None, progress: Progress = lambda _: None) -> Measurement:
+    """Of each scene a pilot, then ``count`` touches of other objects, each under all settings and with a reference.
+
+    What lies in the folder ``out`` is not made again.
+    """
+    rows = []
+    for name in scenes:
+        loaded = load_scene(find_scene(name))
+        ground, _ = ground_of(loaded, device="cpu")
+        for goal in goals:
+            progress(f"{loaded.name} at {100 * goal:g} %")
+            pilot, data = (list(touches(loaded, ground, goal, Request(seed=seed, objects=number, workers=workers),
+                                        Store(out / loaded.name / ("rough" * (goal >= ROUGH) + part))))
+                           for part, seed, number in (("pilot", SEED, PILOT), ("data", 0, count)))
+            rows.append(row_of(loaded.name, goal, [s.key for s in ground.steps()], pilot, data,
+                               sum(loaded.sample(0).required_touches.frames)))
+    return found_of(rows, {"touches": count})
+
+
+def row_of(scene: str, goal: float, steps: Sequence[str], pilot: Sequence[Tried], data: Sequence[Tried],
+           frames: int) -> dict[str, Any]:
+    """What a goal [-] gives with the factor of a pilot: the share of other touches that are kept, and the processor
+    time of a touch, which ``frames`` readings share, over that of the cheapest setting under which as many are."""
+    factor = quantile([least_factor(touch.differences, touch.errors[1:], goal) for touch in pilot])
+    errors, seconds = (np.array([getattr(touch, name) for touch in data]) for name in ("errors", "seconds"))
+    able = [k for k in range(len(steps)) if (errors[:, k] <= goal).mean() >= ENOUGH]
+    single = min(able, key=lambda k: seconds[:, k].mean(), default=None)
+    row = {"scene": scene, "goal": goal, "audits": len(data), "single": "none" if single is None else steps[single],
+           "single_seconds": None if single is None else seconds[:, single].mean()}
+    if not np.isfinite(factor):
+        off = sum(touch.errors[-1] > goal for touch in pilot)
+        worst = max(touch.errors[-1] for touch in pilot)
+        return {**row, "said": f"refused: {off} of {PILOT} touches of the pilot are off by more under {steps[-1]}"
+                + (f", by up to {100 * worst:.2g} %" if np.isfinite(worst) else ", or lose a frame")}
+    ends = [ended(touch.differences, factor, goal) for touch in data]
+    kept = int(sum(errors[n, k + 1] <= goal for n, k in enumerate(ends)))
+    cost = np.mean([seconds[n, :k + 2].sum() for n, k in enumerate(ends)])
+    found = {"asked": goal, "observed": {"audits": len(data), "kept": kept}}
+    return {**row, "factor": factor, "kept": kept / len(data), "least": least_share(kept, len(data)), "cost": cost,
+            "over": None if single is None else cost / row["single_seconds"],
+            "pilot": sum(sum(touch.seconds) for touch in pilot) / (cost * READINGS / frames),
+            "said": verdict(found)[0].partition(":")[0]}
+
+
+def found_of(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> Measurement:
+    """The measurement of these rows."""
+    columns = (Column("scene", "scene"), Column("said", "verdict"), Column("single", "cheapest single setting"),
+               Column("goal", "goal", "1", "%", "g"), Column("audits", "touches audited", "1"),
+               Column("kept", "kept", "1", "%", ".0f"), Column("least", "at least", "1", "%", ".0f"),
+               Column("factor", "factor", "1", form=".2g"), Column("cost", "CPU a touch", "s", form=".2g"),
+               Column("over", "over the single setting", "1", form=".2g"),
+               Column("pilot", f"pilot over {READINGS:,} readings", "1", "%", ".2g"))
+    return Measurement.of("promise", settings, [Table(
+        "Touches of as many objects, each audited, under the factor of a pilot of other objects", columns, rows,
+        name="promise")])
