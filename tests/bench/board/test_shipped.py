@@ -108,15 +108,14 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "make_studies", lambda studies, *_: made.append(studies) or iter(()))
     monkeypatch.setattr(release, "commit", lambda: "a" * 40)
     monkeypatch.setattr(rows, "absent", lambda what, _: {"all": "too large"} if what == "study toy" else {})
-    asked = []
+    asked, row = [], evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+    ceiling = dataclasses.replace(row, method="resim", entry=ceilings()["resim"].value, preset="", parameters={},
+                                  contents=contents_of("resim", {}))
 
     def evaluate_all(one, choices, **_):
         ((path, choice),) = choices.items()
         asked.append(path.stem)
-        result = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
-        if choice.method == "resim":
-            result = dataclasses.replace(result, method="resim", entry=ceilings()["resim"].value, preset="",
-                                         parameters={}, contents=contents_of("resim", {}))
+        result = ceiling if choice.method == "resim" else row
         result.save(path)
         yield Made(path, result)
 
