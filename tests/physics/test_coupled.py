@@ -40,7 +40,7 @@ def press(model, bubble, depths, friction, device, **limits):
 
 
 def test_both_bodies_balance_and_the_gas_is_squeezed(bubble, block, device):
-    solver, frames = press(block(1e5), bubble, [0.001, 0.003, 0.005], 2.0, device)
+    solver, frames = press(block(1e5), bubble, [0.001, 0.003], 2.0, device)
     assert frames.converged.all()
     force = frames.force[:, 0]
     assert (np.diff(force[:, 2]) > 0.0).all(), "the object pushes the sensor up, the more the deeper"
