@@ -20,7 +20,7 @@ from vsfsim.generate import run
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
-from vsfsim.generate.trade.setting import Ground, Setting
+from vsfsim.generate.trade.setting import Setting
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_the_quantile_is_conformal():
     assert held == pytest.approx(0.95, abs=0.012)
 
 
-GROUND = Ground("fem-coarse", 0.0099, 390)
+GROUND = Setting("fem-coarse", 0.0099, nodes=390)
 
 
 def test_the_finest_meshes_of_a_promise_serve_its_reference():

@@ -17,7 +17,7 @@ from measurements.tradeoff.touches import Curve, DatasetTouches, Run
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.trade.setting import Ground, Setting
+from vsfsim.generate.trade.setting import Setting
 from vsfsim.physics.convergence import curve_limit
 
 EDGE = (0.013, 0.010, 0.0077)
@@ -84,7 +84,7 @@ class Imagined:
 
     def __init__(self, edge=0.01):
         self.made = 0
-        self.ground, self.own = Ground("fem-coarse", edge, None), Setting("fem-coarse", edge)
+        self.ground, self.own = Setting("fem-coarse", edge), Setting("fem-coarse", edge)
         self.readings, self.frames, self.pressable = 40, 4, ("linear", "fem-coarse")
 
     def run(self, setting):

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, TypeVar
+from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.engines import one_thread
@@ -25,7 +25,6 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
 
-T = TypeVar("T")
 _PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg",
             "scipy.spatial.transform", "torch", "trimesh", "warp")
 """What every worker imports, in 2.6 s of a core. No module of vsfsim: some start Warp, which opens a GPU's driver, and
@@ -33,6 +32,8 @@ no fork survives that."""
 _ON_A_GPU, _ROOM = 16, 5 * 2**30
 """Processes that share a GPU, at most, and its memory that each has [byte]. A process waits for its host most of the
 time: one keeps an H200 busy 24 % of it. A shoe of 20,000 unknowns takes 3 GiB, and twice that for a moment, in turn."""
+ENDED = ("a worker process ended before its {} was finished, as one does that is killed or out of memory. Run the same "
+         "command again, which makes only what is missing; with fewer --workers it needs less memory.")
 _LONGEST_FOLDER = 60
 """Of temporary files; the address of a socket has 108 characters."""
 
@@ -106,10 +107,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
             return
         except BrokenProcessPool as error:
             if "poison" not in jobs[0].allow:
-                raise DatasetError("a worker process ended before its object view was finished, as "
-                                   "one does that is killed or out of memory. Run the same command "
-                                   "again, which makes only what is missing; with fewer --workers "
-                                   "it needs less memory.") from error
+                raise DatasetError(ENDED.format("object view")) from error
         store = Store(jobs[0].store)
         done = finished_names(store)
         left = [job for job in left if job.name not in done]
@@ -128,10 +126,9 @@ def sharing(device: str) -> int:
     return max(1, min(_ON_A_GPU, os.cpu_count() or 1, warp.get_device(device).total_memory // _ROOM))
 
 
-def in_pool(function: Callable[..., T], jobs: Sequence[Job], *arguments: Any, device: str,
-            workers: int | None) -> Iterator[tuple[Job, T]]:
-    """Each of some jobs with what ``function`` made of it and of the ``arguments``, in a process from the start to the
-    end, as they come; ``device`` and ``workers`` as of `make_each`.
+def in_pool(function: Callable[..., Any], jobs: Sequence[Job], *arguments: Any, device: str,
+            workers: int | None) -> Iterator[tuple[Job, Any]]:
+    """Each job with what ``function`` made of it in one process, as they come; the rest as of `make_each`.
 
     Raises:
         BrokenProcessPool: a process was killed, or none could be started.

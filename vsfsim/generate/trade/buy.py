@@ -9,13 +9,14 @@ ceil(0.95 (n + 1))-th smallest of these, 95 % of further touches are kept on ave
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import itertools
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +39,8 @@ from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
-from vsfsim.generate.trade.setting import Ground, Setting
-from vsfsim.generate.workers import in_pool
+from vsfsim.generate.trade.setting import Setting
+from vsfsim.generate.workers import ENDED, in_pool
 from vsfsim.physics import tiers
 from vsfsim.physics.runtime import compile_kernels
 
@@ -72,11 +73,10 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     Raises:
         SceneError: no factor keeps it, with the figure; or the scene's touches cannot be made again.
     """
-    asked, there = request.accuracy, _begun(folder)
+    asked, said = request.accuracy, request.note or (lambda sentence: None)
     assert asked is not None
-    if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == asked:
-        return there["tier"], {"accuracy": there["options"]["accuracy"]}
-    said = request.note or (lambda sentence: None)
+    if (there := _begun(folder, asked)) is not None:
+        return there
     (ground, _), tried = ground_of(loaded, device=request.device), list[Tried]()
     steps, ladder = ground.steps(), ground.ladder(asked)
     for touch in touches(loaded, ground, asked, request.but(seed=request.seed + SEED, objects=PILOT), Store(folder)):
@@ -89,11 +89,10 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     factor = quantile([least_factor(touch.differences, touch.errors[1:], asked) for touch in tried])
     last = [touch.errors[-1] for touch in tried]
     if math.isinf(factor):
-        off = sum(error > asked for error in last)
-        raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot {off} of {PILOT} touches "
-                         f"are off by more under the finest setting, {steps[-1].key}, the worst by "
-                         f"{_percent(max(last))}, the error of its reference included. Ask for "
-                         f"{_percent(quantile(last))} or more, or give a finer resolution in [object].")
+        raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot "
+                         f"{sum(error > asked for error in last)} of {PILOT} touches are off by more under the finest "
+                         f"setting, {steps[-1].key}, the worst by {_percent(max(last))}, the error of its reference "
+                         f"included. Ask for {_percent(quantile(last))} or more, or give a finer resolution in [object].")
     ends = [ended(touch.differences, factor, asked) for touch in tried]
     total = recipe.objects * recipe.views * recipe.touches
     audits = min(total, max(AUDITS[0], min(AUDITS[1], total // 10)))
@@ -120,7 +119,7 @@ class Tried:
     """Processor time of each setting, then of what a reference needs besides [s]."""
 
 
-def touches(loaded: SceneFile, ground: Ground, asked: float, request: Request, store: Store) -> Iterator[Tried]:
+def touches(loaded: SceneFile, ground: Setting, asked: float, request: Request, store: Store) -> Iterator[Tried]:
     """A touch of each object of a request as they come, each made by one process. Each lies in the folder of the lines
     of a dataset until that is finished, and is not made again there for an accuracy of the same reference.
 
@@ -143,8 +142,7 @@ def touches(loaded: SceneFile, ground: Ground, asked: float, request: Request, s
             store.put(f"{FOLDER}/{job.name}{TOUCH}", json.dumps({"of": mark, **dataclasses.asdict(touch)}).encode())
             yield touch
     except BrokenProcessPool as error:
-        raise DatasetError("a worker process ended before its touch of the pilot was finished, as one does that is "
-                           "killed or out of memory. Run the same command again with fewer --workers.") from error
+        raise DatasetError(ENDED.format("touch of the pilot")) from error
 
 
 def _tried(job: Job, steps: Sequence[Setting], ladder: Sequence[Setting], device: str) -> Tried:
@@ -164,8 +162,8 @@ def _tried(job: Job, steps: Sequence[Setting], ladder: Sequence[Setting], device
                  np.diff([*clock, time.process_time()]).tolist())
 
 
-def ground_of(loaded: SceneFile, *, device: str) -> tuple[Ground, OnSolids]:
-    """Where the settings of a scene begin, and what touches; its kernels are compiled.
+def ground_of(loaded: SceneFile, *, device: str) -> tuple[Setting, OnSolids]:
+    """Where the settings of a scene begin, its own tier or ``fem-coarse``, and what touches; kernels are compiled.
 
     Raises:
         SceneError: its touches cannot be made again.
@@ -177,8 +175,8 @@ def ground_of(loaded: SceneFile, *, device: str) -> tuple[Ground, OnSolids]:
                          f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
     tier = max(effector.check(scene, None), "fem-coarse", key=list(tiers.TIERS).index)
     compile_kernels(kernels_of(scene), device)
-    return Ground(tier, tiers.element_size(scene.required_object, tier, scene.probe),
-                  None if scene.sensor is None else scene.sensor.nodes), effector
+    return Setting(tier, tiers.element_size(scene.required_object, tier, scene.probe),
+                   nodes=None if scene.sensor is None else scene.sensor.nodes), effector
 
 
 def least_factor(differences: Sequence[float], errors: Sequence[float], asked: float) -> float:
@@ -210,14 +208,11 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if math.isfinite(share) else "all, for a frame has no equilibrium"
 
 
-def _begun(folder: Path | str) -> Mapping[str, Any] | None:
-    """The recipe of the dataset that lies in a folder, or was begun there."""
-    store = Store(folder)
+def _begun(folder: Path | str, asked: float) -> tuple[str, dict[str, Any]] | None:
+    """What `bought` found for the dataset that lies in a folder, or was begun there, if the same was ``asked``."""
     for name in (MANIFEST, PART_MANIFEST):
-        try:
-            found = from_json(store.get(name) or b"")["recipe"]
-            if isinstance(found["options"], dict):
-                return found
-        except (ValueError, KeyError, TypeError):
-            continue
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            found = from_json(Store(folder).get(name) or b"")["recipe"]
+            if found["options"]["accuracy"]["asked"] == asked:
+                return found["tier"], {"accuracy": found["options"]["accuracy"]}
     return None

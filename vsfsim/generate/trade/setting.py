@@ -61,30 +61,17 @@ class Setting:
         """What a recipe says of it besides the tier, see `vsfsim.generate.job.Job.scene`."""
         return {{"level": "contact"}.get(name, name): value for name, value in self.table().items() if name != "tier"}
 
-
-@dataclass(frozen=True)
-class Ground:
-    """What a scene says of itself, where its settings begin."""
-
-    tier: str
-    """Its tier, at least ``fem-coarse``."""
-    resolution: float
-    """Edge of its elements at that [m]."""
-    nodes: int | None
-    """Of its bubble, or None."""
-
     def steps(self) -> list[Setting]:
-        """See `STEPS`; a bubble's meshes grow with the object's."""
-        return [Setting(self.tier if level is None else LIMIT_TIER, self.resolution * RATIO**power, level=level,
-                        nodes=self._nodes(power)) for power, level in STEPS]
-
-    def _nodes(self, power: int) -> int | None:
-        """Nodes of a bubble whose edges are its own times `RATIO` to such a power."""
-        return None if self.nodes is None else round(self.nodes * RATIO ** (-2 * power))
+        """Of a scene whose own elements and nodes these are, see `STEPS`."""
+        return [self._at(power, level) for power, level in STEPS]
 
     def ladder(self, asked: float = 0.0) -> list[Setting]:
-        """Meshes of a limit, coarsest first, each finer where it is touched than the scene's own; the last two, or the
-        first two, are the last of `STEPS`. For an accuracy ``asked`` [-] of `ROUGH` and more they begin one coarser,
-        and cost a third. A bubble's meshes grow with the object's."""
+        """Meshes of a limit of such a scene, coarsest first; the last two, or the first two, are the last of `STEPS`.
+        For an accuracy ``asked`` [-] of `ROUGH` and more they begin one coarser, and cost a third."""
         powers = range(1, 1 - MESHES, -1) if asked >= ROUGH else range(0, -MESHES, -1)
-        return [Setting(LIMIT_TIER, self.resolution * RATIO**p, level=1 - p, nodes=self._nodes(p)) for p in powers]
+        return [self._at(power, 1 - power) for power in powers]
+
+    def _at(self, power: int, level: int | None) -> Setting:
+        """Elements times `RATIO` to a power, and a bubble's edges with them."""
+        return Setting(self.tier if level is None else LIMIT_TIER, self.resolution * RATIO**power, level=level,
+                       nodes=None if self.nodes is None else round(self.nodes * RATIO ** (-2 * power)))
