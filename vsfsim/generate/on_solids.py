@@ -127,7 +127,7 @@ class OnSolids(abc.ABC):
     def reference(self, subject: Subject, a: Aim, ladder: Sequence[Setting], *, made: Mapping[Setting, Touch],
                   device: str) -> dict[str, np.ndarray]:
         """Columns of the audit of a touch: its force extrapolated from the meshes of a ladder, its error (see
-        `vsfsim.physics.convergence.curve_limit`), and the frames with an equilibrium on all of them; ``made`` is there."""
+        `vsfsim.physics.convergence.curve_limit`), and the frames with an equilibrium on all; ``made`` is there."""
         each = [made.get(setting) or self.touched(subject, [a], setting, device=device)[0] for setting in ladder]
         found = np.all([one.converged & np.isfinite(one.force).all(axis=1) for one in each], axis=0)
         value, error = np.zeros((len(found), 3)), np.zeros(len(found))

@@ -92,7 +92,7 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
         raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot "
                          f"{sum(error > asked for error in last)} of {PILOT} touches are off by more under the finest "
                          f"setting, {steps[-1].key}, the worst by {_percent(max(last))}, the error of its reference "
-                         f"included. Ask for {_percent(quantile(last))} or more, or give a finer resolution in [object].")
+                         f"included. Ask for {_percent(quantile(last))} or more, or give [object] a finer resolution.")
     ends = [ended(touch.differences, factor, asked) for touch in tried]
     total = recipe.objects * recipe.views * recipe.touches
     audits = min(total, max(AUDITS[0], min(AUDITS[1], total // 10)))
