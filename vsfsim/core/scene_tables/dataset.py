@@ -106,7 +106,7 @@ class DatasetSpec:
 
 @dataclass(frozen=True)
 class ArmSpec:
-    """``[arm]``: the arm that touches, whose torques are J^T f: where it stands, and how it goes about it."""
+    """``[arm]``: the arm that touches: where it stands, and how it goes about it."""
 
     model: Literal["gen3"] = "gen3"
     """The one arm that there is."""
@@ -116,6 +116,8 @@ class ArmSpec:
     """Of its foot (3,) [m]."""
     yaw: Angle = 0.0
     """Rotation about +z [rad]."""
+    mode: Literal["kinematic"] = "kinematic"
+    """How its torques come about: J^T f, the one way that there is."""
     clearance: Annotated[float, between(0.0, 0.2, "m")] = 0.01
     """Least gap to the plant at the start of a touch, and to its pot all the way [m]."""
     sweep: Annotated[float, between(0.0, 1.2, "rad")] = 1.0
