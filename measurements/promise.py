@@ -16,7 +16,7 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.disk import Store
 from vsfsim.data.manifest import ENOUGH, least_share, verdict
-from vsfsim.generate.trade.buy import PILOT, SEED, Tried, ended, ground_of, least_factor, quantile, touches
+from vsfsim.generate.trade.buy import PILOT, SEED, Tried, bound, ended, ground_of, least_factor, touches
 from vsfsim.generate.trade.setting import ROUGH
 
 SCENES = ("foam-block", *(str(Path(__file__).parent / "touched" / f"{name}.toml") for name in ("block", "column")),
@@ -48,7 +48,7 @@ def row_of(scene: str, goal: float, steps: Sequence[str], pilot: Sequence[Tried]
            frames: int) -> dict[str, Any]:
     """What a goal [-] gives with the factor of a pilot: the share of other touches that are kept, and the processor
     time of a touch, which ``frames`` readings share, over that of the cheapest setting under which as many are."""
-    factor = quantile([least_factor(touch.differences, touch.errors[1:], goal) for touch in pilot])
+    factor = bound([least_factor(touch.differences, touch.errors[1:], goal) for touch in pilot])
     errors, seconds = (np.array([getattr(touch, name) for touch in data]) for name in ("errors", "seconds"))
     able = [k for k in range(len(steps)) if (errors[:, k] <= goal).mean() >= ENOUGH]
     single = min(able, key=lambda k: seconds[:, k].mean(), default=None)

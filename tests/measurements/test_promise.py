@@ -22,8 +22,8 @@ def test_the_share_that_is_kept_and_what_it_costs():
     """At 4 % the factor takes the worse touches to the third setting, the others end under the second."""
     row = row_of("blocks", 0.04, STEPS, touches(PILOT), touches(60), 5)
     assert row["kept"] == 1.0 and row["said"] == "kept" and row["single"] == "fine"
-    assert row["factor"] == pytest.approx(1.0) and row["cost"] == pytest.approx((7.0 + 3.0) / 2.0)
-    assert row["over"] == pytest.approx(5.0 / 4.0) and row["pilot"] == pytest.approx(19 * 35 / (5.0 * 7200))
+    assert row["factor"] == pytest.approx(2.0 / 3.0) and row["cost"] == pytest.approx((7.0 + 3.0) / 2.0)
+    assert row["over"] == pytest.approx(5.0 / 4.0) and row["pilot"] == pytest.approx(59 * 35 / (5.0 * 7200))
 
 
 def test_touches_that_differ_from_the_pilots_break_it():
@@ -32,7 +32,7 @@ def test_touches_that_differ_from_the_pilots_break_it():
     assert row["kept"] == 0.0 and row["said"] == "broken" and row["over"] is None and row["single"] == "none"
 
 
-@pytest.mark.parametrize(("last", "said"), [(0.05, "10 of 19 .* under finest, by up to 5 %"), (np.inf, "lose a frame")])
+@pytest.mark.parametrize(("last", "said"), [(0.05, "30 of 59 .* under finest, by up to 5 %"), (np.inf, "lose a frame")])
 def test_what_no_factor_keeps_is_refused_with_the_figure(last, said):
     row = row_of("blocks", 0.04, STEPS, touches(PILOT, last), touches(30), 5)
     assert "kept" not in row and row["said"].startswith("refused") and re.search(said, row["said"])
@@ -43,4 +43,4 @@ def test_the_table_of_a_scene_and_what_its_record_gives_again(monkeypatch, tmp_p
     found = promise.measure(["foam-block"], 61, goals=[0.05, 0.001], out=tmp_path)
     again = promise.found_of(found.record()["promise"], found.settings)
     assert found.tables[0].text() == again.tables[0].text()
-    assert "foam-block  kept" in found.text() and "refused: 19 of 19 touches" in found.text()
+    assert "foam-block  kept" in found.text() and "refused: 59 of 59 touches" in found.text()

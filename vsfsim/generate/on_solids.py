@@ -148,7 +148,8 @@ class OnSolids(abc.ABC):
             off = [promise["factor"] * apart(out[k], one) for k, one in zip(left, again, strict=True)]
             for k, one in zip(left, again, strict=True):
                 out[k] = one
-            left = [k for k, one in zip(left, off, strict=True) if one > promise["asked"]]
+            # a frame that is lost is off by infinity, and 0 times that is no number
+            left = [k for k, one in zip(left, off, strict=True) if not one <= promise["asked"]]
         recipe, job = subject.job.recipe, subject.job
         view, views = job.object_index * recipe.views + job.view_index, recipe.objects * recipe.views
         audits = promise["audits"] * (view + 1) // views - promise["audits"] * view // views

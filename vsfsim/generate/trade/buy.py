@@ -1,10 +1,10 @@
 """`vsfsim generate --accuracy 5%`: a promise for every touch, by a factor that a pilot calibrates.
 
 Every touch is simulated under two settings, and its error is taken as their difference times a factor; where that is
-above what was asked, the touch goes on to the next setting. The factor is conformal (Angelopoulos et al. 2024,
-Conformal risk control, ICLR): of n touches of different objects, whose errors are known from a reference, each has a
-least factor with which, and with any larger one, it ends under a setting that keeps what was asked. With the
-ceil(0.95 (n + 1))-th smallest of these, 95 % of further touches are kept on average over pilots.
+above what was asked, the touch goes on to the next setting. Of touches of a pilot, of different objects, the errors are
+known from a reference, so that each has a least factor with which, and with any larger one, it ends under a setting
+that keeps what was asked. With the largest of 59 of these at least 95 % of further touches are kept, with a confidence
+of 95 % (Wilks 1941, Annals of Mathematical Statistics 12, 91).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.disk import Store
 from vsfsim.data.lines import FOLDER, TOUCH
-from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, apart, error_against
+from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, RISK, apart, error_against
 from vsfsim.data.provenance import made_by
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
@@ -46,8 +46,8 @@ from vsfsim.physics.runtime import compile_kernels
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
-PILOT = 19
-"""Touches of the pilot, each of an object of its own; with fewer no factor is large enough."""
+PILOT = 59
+"""Touches of the pilot, each of an object of its own: the least number of which the largest is a `bound`."""
 SEED = 1_000_003
 """Added to the seed of a dataset for the objects and touches of its pilot, which are others."""
 AUDITS = 29, 100
@@ -86,13 +86,13 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
                  f"{PILOT * sum(touch.seconds):.0f} s of processor time")
         if request.progress is not None:
             request.progress(len(tried), PILOT, "touches of the pilot")
-    factor = quantile([least_factor(touch.differences, touch.errors[1:], asked) for touch in tried])
+    factor = bound([least_factor(touch.differences, touch.errors[1:], asked) for touch in tried])
     last = [touch.errors[-1] for touch in tried]
     if math.isinf(factor):
         raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot "
                          f"{sum(error > asked for error in last)} of {PILOT} touches are off by more under the finest "
                          f"setting, {steps[-1].key}, the worst by {_percent(max(last))}, the error of its reference "
-                         f"included. Ask for {_percent(quantile(last))} or more, or give [object] a finer resolution.")
+                         f"included. Ask for {_percent(bound(last))} or more, or give [object] a finer resolution.")
     ends = [ended(touch.differences, factor, asked) for touch in tried]
     total = recipe.objects * recipe.views * recipe.touches
     audits = min(total, max(AUDITS[0], min(AUDITS[1], total // 10)))
@@ -189,8 +189,8 @@ def least_factor(differences: Sequence[float], errors: Sequence[float], asked: f
     """
     if errors[-1] > asked:
         return math.inf
-    above = [asked / max(d, 1e-12) for d, error in zip(differences[:-1], errors[:-1], strict=True) if error > asked]
-    return max(1.0, *above) * (1.0 + 1e-9) if above else 1.0
+    return max((asked / max(d, 1e-12) * (1.0 + 1e-9) for d, error in zip(differences[:-1], errors[:-1], strict=True)
+                if error > asked), default=0.0)
 
 
 def ended(differences: Sequence[float], factor: float, asked: float) -> int:
@@ -198,10 +198,10 @@ def ended(differences: Sequence[float], factor: float, asked: float) -> int:
     return next((k for k, d in enumerate(differences) if factor * d <= asked), len(differences) - 1)
 
 
-def quantile(values: Sequence[float]) -> float:
-    """What one more of the same kind is under with a probability of `ENOUGH`; infinite if there are too few."""
-    rank = math.ceil(ENOUGH * (len(values) + 1) - 1e-9)
-    return sorted(values)[rank - 1] if rank <= len(values) else math.inf
+def bound(values: Sequence[float]) -> float:
+    """What at least `ENOUGH` of all of a kind are under, but for a probability of `RISK`: the largest of so many that
+    are drawn; infinite if they are too few."""
+    return max(values) if ENOUGH ** len(values) <= RISK else math.inf
 
 
 def _percent(share: float) -> str:
