@@ -128,13 +128,13 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
     if not len(cloud):
         raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, "
                          "azimuth, elevation and fov.")
-    eye = view.camera_pose[:3, 3]
+    eye, tree = view.camera_pose[:3, 3], cKDTree(cloud)
     out: list[Aim] = []
     for k in range(scene.required_touches.count):
         rng = stream(k)
         for _ in range(DRAWS):
             target = cloud[rng.integers(len(cloud))]
-            found = reach(k, target, cloud_normals(cloud, target[None], eye)[0], rng)
+            found = reach(k, target, cloud_normals(cloud, target[None], eye, tree=tree)[0], rng)
             if found is not None:
                 out.append(found)
                 break
@@ -274,14 +274,15 @@ def probe_pose(probe: ProbeShape, centre: np.ndarray, axis: np.ndarray) -> np.nd
     return pose
 
 
-def cloud_normals(cloud: np.ndarray, at: np.ndarray, eye: np.ndarray) -> np.ndarray:
+def cloud_normals(cloud: np.ndarray, at: np.ndarray, eye: np.ndarray, *, tree: cKDTree | None = None) -> np.ndarray:
     """Outward unit normals (k, 3) of a point cloud (n, 3) [m] at ``at`` (k, 3): the direction of least variance of the
     neighbours.
 
     Args:
         eye: the camera's centre (3,) [m]; a visible surface faces it.
+        tree: of the cloud; None to make it.
     """
-    tree = cKDTree(cloud)
+    tree = tree or cKDTree(cloud)
     distance, index = tree.query(at, k=min(_NEIGHBOURS, len(cloud)), distance_upper_bound=_RADIUS)
     out = np.empty_like(at)
     for i in range(len(at)):

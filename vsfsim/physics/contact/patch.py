@@ -187,13 +187,18 @@ def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, at_points: torch.Tenso
     Args:
         local: nodes of the parts (k, f, n), each with q points on n nodes.
         shapes: shape values of their points (k, f, q, n).
-        at_points, nodes: see above. Sums are taken in a fixed order, on a GPU too: there `index_put_` sorts what it
-            accumulates.
+        at_points, nodes: see above.
     """
     parts = (shapes.mT @ at_points.reshape(*shapes.shape[:3], at_points.shape[2])).flatten(1, 2)
     touch = torch.arange(len(local), device=local.device)[:, None]
     out = parts.new_zeros(len(local), nodes, parts.shape[2])
-    return out.index_put_((touch, local.long().flatten(1)), parts, accumulate=True)
+    return added(out, (touch, local.long().flatten(1)), parts)
+
+
+def added(out: torch.Tensor, at: tuple[torch.Tensor, ...], values: torch.Tensor) -> torch.Tensor:
+    """``out`` with ``values`` added in place at the indices ``at``, none of them negative, in a fixed order, on a GPU
+    too: there `index_put_` sorts what it accumulates. It would also wait to look whether the indices are in range."""
+    return torch._index_put_impl_(out, at, values, accumulate=True, unsafe=True)
 
 
 def at_points(local: torch.Tensor, shapes: torch.Tensor, nodal: torch.Tensor) -> torch.Tensor:

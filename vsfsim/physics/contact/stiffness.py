@@ -10,6 +10,10 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from vsfsim.physics.contact.patch import added
+
+_SIZES = 64  # the numbers of connected degrees of freedom on a GPU are multiples of it
+
 
 @dataclass(frozen=True)
 class ContactStiffness:
@@ -77,8 +81,9 @@ def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, fr
         used = used.view(len(used), -1, 3).any(dim=2, keepdim=True).expand(-1, -1, 3).flatten(1)
     count, place = used.sum(dim=1, keepdim=True), used.cumsum(dim=1) - 1
     k, m = len(free), max(1, int(count.amax()))
+    if not free.is_cpu:  # few sizes, so that a graph serves again
+        m = min(-(-m // _SIZES) * _SIZES, free.shape[1])
     dof = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :m]
     dof = torch.where(torch.arange(m, device=free.device) < count, dof, dof[:, :1])
     at = of, place[of, row], place[of, col]
-    return [ContactStiffness(dof, free.new_zeros(k, m, m).index_put_(at, pair, accumulate=True))
-            for pair in pairs.unbind(dim=1)]
+    return [ContactStiffness(dof, added(free.new_zeros(k, m, m), at, pair)) for pair in pairs.unbind(dim=1)]

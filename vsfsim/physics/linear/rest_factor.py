@@ -150,10 +150,15 @@ class RestFactor:
         """As `solve`, without the refinement, in less than half of the time."""
         return self._coupled(self._solver.solve(right))
 
-    def solve_on(self, device: str, right: np.ndarray) -> np.ndarray:
-        """As `solve`, by the `dense` inverse if the device has it."""
-        there = self._dense.get(device)
-        return self.solve(right) if there is None else _times(there, right)
+    def softness(self, right: np.ndarray, device: str) -> np.ndarray:
+        """r . K^-1 r of forces r, ``right`` (3 n, k) [N]: (k,) [J], by the `dense` inverse if the device has it."""
+        # of displacements that are off by e this is r . K^-1 r less e . K e: the error is the square of the factor's
+        if (there := self._dense.get(device)) is None:
+            moved = self.solve(right)
+            return ((2.0 * right - self.stiffness @ moved) * moved).sum(axis=0)
+        forces = torch.as_tensor(right, device=device)
+        came = (there @ forces.to(there.dtype)).to(forces.dtype)
+        return ((2.0 * forces - self.stiffness_on(device) @ came) * came).sum(dim=0).cpu().numpy()
 
     def columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N], 0 where held. They are

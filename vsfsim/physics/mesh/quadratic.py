@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import scipy.sparse as sp
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 from vsfsim.core.system.exact import inverse3
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, jacobians, shape_derivatives
+from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, jacobians, shape_derivatives, shape_gradients
 
 # The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
 _EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
@@ -53,6 +54,16 @@ class QuadraticMesh:
     """Boundary triangles, wound outwards (f, 6): corners, then edge nodes."""
     owner: np.ndarray
     """Tetrahedron behind each boundary triangle (f,)."""
+
+    @functools.cached_property
+    def mean_gradients(self) -> np.ndarray:
+        """Gradients of the shape functions, their mean over the Gauss points (m, 10, 3) [1/m]."""
+        return shape_gradients(self.gradients).mean(axis=1)
+
+    @functools.cached_property
+    def corner_jacobians(self) -> np.ndarray:
+        """Determinants of the tetrahedra at rest at their corners (m, 4) [m^3], see `tet10_shape.jacobians`."""
+        return jacobians(self.points[self.tets], np.eye(4))[1]
 
     @property
     def volume(self) -> np.ndarray:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vsfsim.physics.elements.tet10_shape import jacobians, shape_gradients
+from vsfsim.physics.elements.tet10_shape import jacobians
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 SHARE = 0.022
@@ -81,19 +81,20 @@ def corner_det_f(mesh: QuadraticMesh, nodes: np.ndarray, u: np.ndarray) -> float
     The solver integrates over four Gauss points inside a tetrahedron. Under a contact that is smaller than the element
     its corners may turn inside out while det F is positive at those points.
     """
-    at = np.flatnonzero(np.isin(mesh.tets, nodes).any(axis=1))
+    touched = np.isin(np.arange(len(mesh.points)), nodes)
+    at = np.flatnonzero(touched[mesh.tets].any(axis=1))
     if not len(at):
         return 1.0
-    rest, bent = (jacobians(x[mesh.tets[at]], np.eye(4))[1] for x in (mesh.points, mesh.points + u))
-    return float((bent / rest).min())
+    own = mesh.tets[at]
+    bent = jacobians(mesh.points[own] + u[own], np.eye(4))[1]
+    return float((bent / mesh.corner_jacobians[at]).min())
 
 
 def rotation(mesh: QuadraticMesh, u: np.ndarray) -> np.ndarray:
     """Largest rotation of a tetrahedron (B,) [rad], for displacements u (n, 3, B) [m]: that of its mean displacement
     gradient, from the skew part and the trace. The one tetrahedron in a hundred that turns furthest is left out: those
     few follow the slope of the dent at the rim of a contact, which the force does not feel."""
-    mean = shape_gradients(mesh.gradients).mean(axis=1)
-    slope = (mean.mT @ u.reshape(len(u), -1)[mesh.tets]).reshape(len(mesh.tets), 3, *u.shape[1:])
+    slope = (mesh.mean_gradients.mT @ u.reshape(len(u), -1)[mesh.tets]).reshape(len(mesh.tets), 3, *u.shape[1:])
     sine = np.sqrt(0.125 * ((slope - np.swapaxes(slope, 1, 2)) ** 2).sum(axis=(1, 2)))
     return np.quantile(np.arctan2(sine, 1.0 + 0.5 * np.trace(slope, 0, 1, 2)), 0.99, axis=0)
 

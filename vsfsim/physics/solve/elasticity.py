@@ -296,7 +296,7 @@ class LinearElasticity(Elasticity):
         force = self._times(moved)
         wp.to_torch(self.internal)[:, at] = force
         wp.to_torch(self.energy)[at] = 0.5 * (moved * force).sum(dim=0)
-        wp.to_torch(self.least_det)[at] = 1.0
+        wp.to_torch(self.least_det).index_fill_(0, at, 1.0)
 
     def det(self, index: wp.array, u: wp.array) -> torch.Tensor:
         """See `Elasticity`."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import gc
 from collections.abc import Callable
+from typing import Any
 
 import torch
 import warp as wp
@@ -22,9 +23,60 @@ from vsfsim.physics import clock
 
 Operator = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 _COMPACT = 0.7  # share of running columns under which the others are dropped from the tensors
-_FEW = 0.4  # the same on a GPU, where a graph is made again then
-_BLOCK = 4  # repetitions between two looks of the host
+_BLOCK = 2  # iterations of a graph between two looks of the host
 _last: dict[torch.device, torch.cuda.CUDAGraph] = {}  # its memory serves the next one
+
+
+class Room:
+    """Where work is done. If it ``stays``, as on a GPU, its tensors have the same places whenever it is done again, and
+    a graph repeats it: launching its kernels one by one takes longer than they run."""
+
+    def __init__(self, *, stays: bool = False):
+        self.stays = stays
+        self._tensors: dict[str, torch.Tensor] = {}
+        self._works: dict[str, tuple[torch.cuda.CUDAGraph, Callable[[], Any], Any]] = {}
+
+    def new(self, name: str, like: torch.Tensor, **more: Any) -> torch.Tensor:
+        """A tensor of this ``name``, zeros at first."""
+        if name not in self._tensors or not self.stays:
+            self._tensors[name] = torch.zeros_like(like, **more)
+        return self._tensors[name]
+
+    def take(self, name: str, value: torch.Tensor) -> torch.Tensor:
+        """``value`` in the place of this ``name``."""
+        return self.new(name, value).copy_(value) if self.stays else value
+
+    def keep(self, values: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """`take` of some."""
+        return {name: self.take(name, value) for name, value in values.items()}
+
+    def run(self, name: str, work: Callable[[], Any]) -> Any:
+        """Do the ``work`` of this ``name`` and return what it does. It asks the GPU for nothing, and leaves all that it
+        changes or returns in tensors that stay; what it reads besides lives as long as it does."""
+        if name in self._works:
+            graph, _, found = self._works[name]
+            graph.replay()
+            return found
+        found = work()
+        if not self.stays:
+            return found
+        device = next(iter(self._tensors.values())).device
+        graph, side = torch.cuda.CUDAGraph(), _side(device)
+        side.wait_stream(torch.cuda.current_stream(device))
+        collects = gc.isenabled()
+        gc.disable()  # an array of Warp that is freed meanwhile would end the capture
+        with torch.cuda.stream(side), wp.ScopedStream(wp.stream_from_torch(side), sync_enter=False):
+            graph.capture_begin(pool=_last[device].pool() if device in _last else None,
+                                capture_error_mode="thread_local")
+            try:
+                work()
+            finally:
+                graph.capture_end()
+                if collects:
+                    gc.enable()
+        _last[device] = graph
+        self._works[name] = graph, work, found
+        return found
 
 
 def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -33,7 +85,7 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int, deadline: float = float("inf"), resident: bool = False,
+          iterations: int, deadline: float = float("inf"), room: Room | None = None,
           ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0, the residual measured by its length.
 
@@ -45,22 +97,20 @@ def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch
         iterations: limit.
         deadline: `clock.now` after which no iteration begins and the preconditioner is not used again [s]; x is
             then what was reached, a direction of descent all the same.
-        resident: whether the products are made on a GPU alone: their iterations are then repeated as a graph.
+        room: where it is done. In one that stays all columns go on together, and the results are in it.
 
     Returns:
         x (3 n, k), iterations of each column (k,), and which met negative curvature (k,) bool: such a column keeps its
         last x, or the first direction.
     """
-    which: torch.Tensor | None = None
-    out, taken = torch.zeros_like(right), torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
-    bent = torch.zeros_like(taken, dtype=torch.bool)
+    room, which = room or Room(), None
+    right, tolerance = room.take("right", right), room.take("tolerance", tolerance)
     # of the columns that are left: x, the iterations, and which met negative curvature
-    x, steps, curved = torch.zeros_like(right), torch.zeros_like(taken), torch.zeros_like(bent)
-    r = right.clone()
-    p = precondition(r, None).clone()
-    rz = column_dots(r, p)
-    least = tolerance**2 * column_dots(r, r).clamp(min=1e-300)
-    running, none = rz > 0.0, rz.new_zeros(())
+    x, r, p = (room.new(name, right) for name in "xrp")
+    rz, least = (room.new(name, tolerance) for name in ("rz", "least"))
+    steps = room.new("steps", tolerance, dtype=torch.int64)
+    curved, running = (room.new(name, tolerance, dtype=torch.bool) for name in ("curved", "running"))
+    out, taken, bent, none = x, steps, curved, rz.new_zeros(())
 
     # all in place, so that a GPU can repeat it
     def descend() -> None:
@@ -80,34 +130,41 @@ def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch
         p.mul_(torch.where(running, fresh / rz, none)).add_(z)
         rz.copy_(torch.where(running, fresh, rz))
 
-    def iterate() -> None:
+    def begin() -> None:
+        for found in (x, steps, curved):
+            found.zero_()
+        r.copy_(right)
+        p.copy_(precondition(r, None))
+        rz.copy_(column_dots(r, p))
+        least.copy_(tolerance**2 * column_dots(r, r).clamp(min=1e-300))
+        running.copy_(rz > 0.0)
         descend()
-        turn()
+        x.add_(p * curved)
 
-    done = 0
-    while done < iterations:
-        if done and clock.now() > deadline:
-            break
-        descend()
-        if done == 0:
-            x += p * curved
-        done += 1
-        if done == iterations or not running.any() or clock.now() > deadline:
-            break
+    def iterate() -> None:
         turn()
-        if resident:
-            done += repeat(iterate, running, most=iterations - done, few=int(_FEW * len(running)),
-                                  deadline=deadline)
-        left = int(running.sum())
-        if left < _COMPACT * len(running):
-            where = slice(None) if which is None else which
-            out[:, where], taken[where], bent[where] = x, steps, curved
+        descend()
+
+    room.run("begin", begin)
+    done = 1
+    while done < iterations and bool(running.any()) and clock.now() <= deadline:
+        if room.stays:
+            for _ in range(min(_BLOCK, iterations - done)):
+                room.run("iterate", iterate)
+            done += _BLOCK
+            continue
+        turn()
+        if int(running.sum()) < _COMPACT * len(running):
+            if which is not None:
+                out[:, which], taken[which], bent[which] = x, steps, curved
             keep = running.nonzero()[:, 0]
             which = keep if which is None else which[keep]
             x, r, p = x[:, keep], r[:, keep], p[:, keep]
             rz, least, steps, curved, running = (t[keep] for t in (rz, least, steps, curved, running))
-    where = slice(None) if which is None else which
-    out[:, where], taken[where], bent[where] = x, steps, curved
+        descend()
+        done += 1
+    if which is not None:
+        out[:, which], taken[which], bent[which] = x, steps, curved
     return out, taken, bent
 
 
@@ -151,42 +208,6 @@ def gmres(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     for i, z in enumerate(searched[:y.shape[1]]):
         out += z * y[:, i, 0]
     return out, steps
-
-
-def repeat(step: Callable[[], None], running: torch.Tensor, *, most: int, few: int, deadline: float) -> int:
-    """Repeat ``step`` while more than ``few`` of ``running`` (k,) bool are true, ``most`` times at most and not after
-    the ``deadline`` of `clock.now`; up to three times more often than needed, since the host looks now and then.
-
-    Args:
-        step: leaves all that it changes where it is, including ``running``, and asks the GPU for nothing. It has been
-            made once before, so that what it needs is there.
-        running, most, few, deadline: see above.
-
-    Returns:
-        How often it was repeated.
-    """
-    device = running.device
-    if int(running.sum()) <= few:
-        return 0
-    graph, side = torch.cuda.CUDAGraph(), _side(device)
-    side.wait_stream(torch.cuda.current_stream(device))
-    collects = gc.isenabled()
-    gc.disable()  # an array of Warp that is freed meanwhile would end the capture
-    with torch.cuda.stream(side), wp.ScopedStream(wp.stream_from_torch(side), sync_enter=False):
-        graph.capture_begin(pool=_last[device].pool() if device in _last else None, capture_error_mode="thread_local")
-        try:
-            step()
-        finally:
-            graph.capture_end()
-            if collects:
-                gc.enable()
-    _last[device] = graph
-    for done in range(0, most, _BLOCK):
-        if clock.now() > deadline or int(running.sum()) <= few:
-            return done
-        for _ in range(min(_BLOCK, most - done)):
-            graph.replay()
-    return most
 
 
 @functools.cache

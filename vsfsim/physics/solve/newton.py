@@ -13,6 +13,8 @@ The *measure* of a touch is the sum of the lengths of its unbalanced nodal force
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -25,7 +27,7 @@ from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
-from vsfsim.physics.solve.krylov import conjugate_gradients, gmres
+from vsfsim.physics.solve.krylov import Room, conjugate_gradients, gmres
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 # part of the way to the first inner body of a rigid body that a step may take, and the least part of a step
@@ -67,6 +69,8 @@ class Equilibrium:
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
         self.factors = TangentFactors(model, elasticity, contact)
+        self._rooms: dict[str, Room] = {}
+        self._rooms_of: torch.Tensor | None = None
         self.reset_counts()
 
     def reset_counts(self) -> None:
@@ -82,7 +86,12 @@ class Equilibrium:
     # ------------------------------------------------------------------------------------------ state
 
     def evaluate(self, columns: torch.Tensor) -> State:
-        """Forces, potential and residual of ``columns`` (k,) at the present displacements."""
+        """Forces, potential and residual of ``columns`` (k,) at the present displacements. On a GPU those of all
+        touches are in one place, until the next evaluation."""
+        room = self._room("step", columns)
+        return dict(room.run("evaluate", lambda: room.keep(self._find(columns))))
+
+    def _find(self, columns: torch.Tensor) -> State:
         self.elasticity.forces(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
         return self._again(columns)
 
@@ -123,76 +132,102 @@ class Equilibrium:
 
     def solve(self, columns: torch.Tensor, state: State, tolerance: float, deadline: float) -> None:
         """Newton's method on ``columns`` until the measure of each is under ``tolerance``; updates state, counts and
-        reasons."""
-        has_friction = self.contact.has_friction
-        stuck = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
+        reasons. The host decides by one look at all touches after a step. On a GPU all of them take part in every step,
+        so that it can be repeated as graphs; those that are done do not move."""
+        has_friction, host = self.contact.has_friction, columns.cpu().numpy()
+        room = self._room("step", columns)
+        state.update(room.keep(state))
+        stuck, safe = np.zeros((2, len(host)), bool)  # safe: whose last step failed, they get the projected tangent
         # whose friction limit is not yet Coulomb's, and the measure at which it is renewed
-        held = torch.full((len(columns),), has_friction, dtype=torch.bool, device=self.device)
-        within = torch.full_like(state["measure"], self.contact.friction_updated_below)
-        renew = torch.ones_like(stuck)  # whose tangent must be recomputed
-        safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
+        held, within = np.full(len(host), has_friction), np.full(len(host), self.contact.friction_updated_below)
+        renew = ~stuck  # whose tangent must be recomputed
         self.contact.coulomb[columns] = 0.0
-        self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
+        self.reason[host] = Reason.ITERATIONS
         self._deadline = deadline
+
+        def look() -> np.ndarray:
+            return state["measure"].cpu().numpy().copy()
+
+        measure = look()
         for _ in range(self.options.newton * (1 + has_friction)):
             if self.contact.follow():
-                state.update(self._again(columns))
-            ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
-            if has_friction and bool(ready.any()):
-                at = ready.nonzero()[:, 0]
+                state.update(room.run("follow", lambda: room.keep(self._again(columns))))
+                measure = look()
+            ready = np.flatnonzero(held & ((measure <= np.maximum(within, tolerance)) | stuck))
+            if len(ready):
+                at = self._on(ready)
                 if self.contact.follows:
                     self.contact.coulomb[columns[at]] = 1.0
                 for key, value in self.renew_friction(columns[at]).items():
                     state[key][..., at] = value
-                present = state["measure"][at]
+                measure = look()
+                present = measure[ready]
                 # in equilibrium under the renewed limit: done. If not, the measure must fall to a tenth before the
                 # limit is renewed again
-                held[at] = present > tolerance
-                within[at] = torch.minimum(0.1 * present, within[at])
-                stuck[at] &= ~(present > tolerance) | (present > 0.5)
-                renew[at] = True
-            open_ = ((held | (state["measure"] > tolerance)) & ~stuck).nonzero()[:, 0]
+                held[ready] = present > tolerance
+                within[ready] = np.minimum(0.1 * present, within[ready])
+                stuck[ready] &= ~(present > tolerance) | (present > 0.5)
+                renew[ready] = True
+            open_ = np.flatnonzero((held | (measure > tolerance)) & ~stuck)
             if not len(open_):
                 break
-            active = columns[open_]
-            host = active.cpu().numpy()
             if clock.now() > deadline:
-                self.reason[host] = Reason.TIME
+                self.reason[host[open_]] = Reason.TIME
                 break
-            exhausted = torch.as_tensor(self.exhausted(host), device=self.device)
-            if bool(exhausted.any()):
-                stuck[open_[exhausted]] = True
-                held[open_[exhausted]] = False
+            exhausted = open_[self.exhausted(host[open_])]
+            if len(exhausted):
+                stuck[exhausted], held[exhausted] = True, False
                 continue
-            before = state["measure"][open_]
+            before = measure[open_]
             # far from the solution the projected tangent is safe; near it the true one converges quadratically, and
             # that of the step before is as good. Under planes contact has no geometric term, which spoils the true one.
             far = (before > 0.3) | safe[open_]
             convex = safe[open_] if self.contact.solid and not has_friction and self.contact.flat else far
-            fresh = renew[open_] | (before > 0.05) | self.factors.renew(active, self.u, deadline)
+            fresh = renew[open_] | (before > 0.05) | self.factors.renew(host[open_], self.u, deadline)
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
-                if bool(which.any()):
-                    self._tangent(active[which], projected=projected)
-            direction, steps, curved = self._descend(active, state["residual"][:, open_], ~far)
-            self.newton[host] += 1
-            self.cg[host] += steps.cpu().numpy()
-            moved = self._step(active, open_, direction, state, tolerance)
-            renew[open_] = (state["measure"][open_] > 0.5 * before) | curved
+                if which.any():
+                    self._tangent(columns[self._on(open_[which])], projected=projected)
+            # a touch that is not open has no residual here, and moves by nothing
+            part = np.arange(len(host)) if room.stays and self.contact.symmetric else open_
+            moves, near = np.isin(part, open_), np.zeros(len(host), bool)
+            near[open_] = ~far
+            at, going = self._on(part), self._on(moves)
+            residual = state["residual"][:, at]
+            if not moves.all():
+                residual = torch.where(going, residual, 0.0)
+            direction, steps, curved = self._descend(columns[at], residual, self._on(near[part]))
+            self.newton[host[open_]] += 1
+            self.cg[host[open_]] += steps[moves]
+            moved = self._step(columns[at], at, direction, state, tolerance, going)[moves]
+            measure = look()
+            renew[open_] = (measure[open_] > 0.5 * before) | curved[moves]
             stuck[open_] = ~moved & safe[open_]  # not even a projected step helps: there is no equilibrium
-            self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
+            self.reason[host[open_[stuck[open_]]]] = Reason.STALLED
             safe[open_] = ~moved
         self.contact.coulomb[columns] = 0.0
-        balanced = (state["measure"] <= tolerance) & ~held
-        self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
-        self.reason[columns[balanced & (state["wrong_side"] > 0)].cpu().numpy()] = Reason.WRONG_SIDE
-        self.reason[columns[balanced & (state["det"] < CRUSHED)].cpu().numpy()] = Reason.CRUSHED
-        self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
+        balanced = (measure <= tolerance) & ~held
+        wrong_side, det = (state[key].cpu().numpy() for key in ("wrong_side", "det"))
+        for reason, which in ((Reason.NONE, balanced), (Reason.WRONG_SIDE, balanced & (wrong_side > 0)),
+                              (Reason.CRUSHED, balanced & (det < CRUSHED)), (Reason.INVERTED, balanced & (det <= 0.0))):
+            self.reason[host[which]] = reason
+
+    def _on(self, values: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(values, device=self.device)
+
+    def _room(self, name: str, columns: torch.Tensor) -> Room:
+        """Where all touches take part on a GPU, with its contact as it is, a room that stays; for some of them one that
+        does not."""
+        if len(columns) < len(self.every) or not (self.contact.symmetric and self.contact.response.resident):
+            return Room()
+        if self._rooms_of is not self.contact.dof:
+            self._rooms, self._rooms_of = {}, self.contact.dof
+        return self._rooms.setdefault(name, Room(stays=True))
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
         self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _descend(self, columns: torch.Tensor, residual: torch.Tensor,
-                 near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+                 near: torch.Tensor) -> tuple[torch.Tensor, np.ndarray, np.ndarray]:
         """Directions of descent (3 n, k) [m], the iterations that they took (k,), and which met negative curvature (k,)
         bool: these are found with the projected tangent, without the geometric term of the contact."""
         opt = self.options
@@ -200,59 +235,79 @@ class Equilibrium:
                                   deadline=self._deadline, factors=self.factors)
         # far from the solution, where Newton's linear model is no more accurate, a looser solution serves
         loose = torch.full_like(residual[0], opt.cg_tolerance * opt.cg_far)
-        direction, steps, curved = solve(columns, residual, near=near,
-                                         tolerance=torch.where(near, opt.cg_tolerance, loose))
-        if bool(curved.any()) and clock.now() <= self._deadline:
-            self._tangent(columns[curved], projected=True)
-            direction[:, curved], more, _ = solve(columns[curved], residual[:, curved], tolerance=loose[curved],
-                                                  near=torch.zeros_like(near[curved]))
-            steps[curved] += more
-        return direction, steps, curved
+        direction, *found = solve(columns, residual, near=near, room=self._room,
+                                  tolerance=torch.where(near, opt.cg_tolerance, loose))
+        steps, curved = torch.stack([found[0], found[1].long()]).cpu().numpy()
+        bent = np.flatnonzero(curved)
+        if len(bent) and clock.now() <= self._deadline:
+            at = self._on(bent)
+            self._tangent(columns[at], projected=True)
+            direction[:, at], more, _ = solve(columns[at], residual[:, at], tolerance=loose[at],
+                                              near=torch.zeros_like(near[at]))
+            steps[bent] += more.cpu().numpy()
+        return direction, steps, curved > 0
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
-              tolerance: float) -> torch.Tensor:
+              tolerance: float, going: torch.Tensor) -> np.ndarray:
         """Go along ``direction`` (3 n, k) [m], short of the inner bodies of the rigid bodies, and halve the step until
         the potential falls, or the residual decreases where rounding hides the fall.
 
-        ``at``: entries of ``columns`` in ``state``, which is updated. Returns which touches moved (k,) bool.
+        ``at``: entries of ``columns`` in ``state``, which is updated; ``going``: which go at all (k,) bool. Returns
+        which of these moved (k,) bool.
         """
-        base = self.u[:, columns]
-        potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
-        slope = (state["residual"][:, at] * direction).sum(dim=0)
-        reach = self.contact.reach(columns, self.contact.gather(direction, columns))
-        step = torch.where(reach < 1.0, (_SHORT_OF * reach).clamp(min=_LEAST), 1.0)
-        moved, pending = torch.zeros_like(slope, dtype=torch.bool), torch.arange(len(columns), device=self.device)
+        room = self._room("step", columns)
+        moved, direction = room.take("moved", ~going), room.take("direction", direction)
+
+        def aim() -> State:
+            slope = (state["residual"][:, at] * direction).sum(dim=0)
+            reach = self.contact.reach(columns, self.contact.gather(direction, columns))
+            step = torch.where(reach < 1.0, (_SHORT_OF * reach).clamp(min=_LEAST), 1.0)
+            before = {f"{key} before": state[key][at] for key in ("potential", "measure", "wrong_side")}
+            return room.keep({"base": self.u[:, columns], "slope": slope, "step": step, **before})
+
+        base, slope, step, potential, measure, wrong_side = room.run("aim", aim).values()
+
+        def go(which: torch.Tensor) -> None:
+            some = columns[which]
+            self.u[:, some] = base[:, which] + step[which] * direction[:, which]
+            new = self._find(some)
+            way = step[which] * slope[which]
+            falls = (new["potential"] <= potential[which] - 1e-4 * way) & (way > 0.0)  # nowhere is no step
+            decreases = ((new["measure"] < self.contact.decrease * measure[which])
+                         & (measure[which] < self.contact.potential_trusted_above))
+            if self.contact.has_friction:
+                decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
+            follows = self.contact.coulomb[some] > 0.0  # there is no potential
+            decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[which]) * measure[which])
+            good = ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[which])
+            good |= moved[which]  # one that has moved comes to the same place again
+            moved[which] = good
+            step[which] *= torch.where(good, 1.0, 0.5)
+            for key, value in state.items():
+                if room.stays:
+                    value.copy_(torch.where(good, new[key], value))
+                else:
+                    value[..., at[which[good]]] = new[key][..., good]
+
+        pending = torch.arange(len(columns), device=self.device)
         for halvings in range(12):
             if halvings and clock.now() > self._deadline:
                 break
-            self.u[:, columns[pending]] = base[:, pending] + step[pending] * direction[:, pending]
-            new = self.evaluate(columns[pending])
-            way = step[pending] * slope[pending]
-            falls = (new["potential"] <= potential[pending] - 1e-4 * way) & (way > 0.0)  # nowhere is no step
-            decreases = ((new["measure"] < self.contact.decrease * measure[pending])
-                         & (measure[pending] < self.contact.potential_trusted_above))
-            if self.contact.has_friction:
-                decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
-            follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
-            decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
-            good = ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[pending])
-            done = pending[good]
-            for key in state:
-                state[key][..., at[done]] = new[key][..., good]
-            moved[done] = True
-            pending = pending[~good]
-            if not len(pending):
+            room.run("go", functools.partial(go, pending))
+            left = self._on(np.flatnonzero(~moved.cpu().numpy()))
+            if not len(left):
                 break
-            step[pending] *= 0.5
-        if len(pending):
-            self.u[:, columns[pending]] = base[:, pending]
-            self.evaluate(columns[pending])
-        return moved
+            pending = pending if room.stays else left
+        if len(left):
+            self.u[:, columns[left]] = base[:, left]
+            self.evaluate(columns[left])
+        return (moved & going).cpu().numpy()
 
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
                      deadline: float = float("inf"), factors: TangentFactors | None = None,
+                     room: Callable[[str, torch.Tensor], Room] = lambda *_: Room(),
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by conjugate gradients, or by `gmres` where the contact is not symmetric.
 
@@ -266,16 +321,21 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         iterations: limit.
         deadline: see `krylov`.
         factors: of deformed states, which precondition the touches that have one; they note the iterations.
+        room: where the iterations of such a name are made for some columns.
 
     Returns:
         Directions (3 n, k) [m]; iterations of each (k,); and which met negative curvature (k,) bool, none with
         `gmres`.
     """
     response = contact.response
-    own_factor = [None if factors is None else factors.of(b) for b in columns.tolist()]
-    touched = bool(contact.touches(columns).any())
+    own_factor = [None] * len(columns) if factors is None else factors.of(columns)
+    touched = response.resident or bool(contact.touches(columns).any())
     # a factor of a deformed state has the contact in it; the one at rest is corrected for it
     stiffness, block = contact.stiffness(columns, near, block=touched and None in own_factor)
+    here = room(f"direction {stiffness.dof.shape[1]}", columns)
+    stiffness = replace(stiffness, dof=here.take("dof", stiffness.dof), matrix=here.take("own", stiffness.matrix))
+    if block is not None:
+        block = replace(block, dof=stiffness.dof, matrix=here.take("block", block.matrix))
 
     class Part:
         """What the products need of the columns ``which``."""
@@ -292,13 +352,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             if block is not None:
                 self.block = block if which is None else block[which]
 
-    parts: dict[int, Part] = {}
-
-    def part(which: torch.Tensor | None) -> Part:
-        key = len(columns) if which is None else len(which)  # the columns that are left only get fewer
-        if key not in parts:
-            parts[key] = Part(which)
-        return parts[key]
+    part = functools.cache(Part)  # for the columns that are left, which only get fewer
 
     def multiply(x: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
@@ -323,9 +377,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                                        deadline=deadline)
         return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool)
     direction, steps, curved = conjugate_gradients(
-        multiply, precondition, residual, tolerance=tolerance, iterations=iterations, deadline=deadline,
-        resident=response.resident)
-    if factors is not None:
+        multiply, precondition, residual, tolerance=tolerance, iterations=iterations, deadline=deadline, room=here)
+    if factors is not None and factors.serves:
         factors.count(columns, steps)
     return direction, steps, curved
 

@@ -36,8 +36,8 @@ class TangentFactors:
 
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact):
         self._model, self._elasticity, self._contact = model, elasticity, contact
-        self._serves = (contact.device == "cpu" and contact.solid
-                        and not any(block.collective for block in model.blocks))
+        self.serves = (contact.device == "cpu" and contact.solid
+                       and not any(block.collective for block in model.blocks))
         self.forget()
 
     def forget(self) -> None:
@@ -45,27 +45,27 @@ class TangentFactors:
         self._own: list[Cholesky | None] = [None] * self._contact.batch
         self._spent = np.zeros(self._contact.batch, int)  # iterations beyond the usual ones since the factor was made
 
-    def of(self, touch: int) -> Cholesky | None:
-        """The factor that preconditions a touch, or None for that of the rest state."""
-        return self._own[touch]
+    def of(self, columns: torch.Tensor) -> list[Cholesky | None]:
+        """The factor that preconditions each of the touches ``columns`` (k,), or None for that of the rest state."""
+        return [self._own[b] for b in columns.tolist()] if self.serves else [None] * len(columns)
 
     def count(self, columns: torch.Tensor, steps: torch.Tensor) -> None:
         """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,)."""
         np.add.at(self._spent, columns.cpu().numpy(), (steps.cpu().numpy() - _USUAL).clip(min=0))
 
-    def renew(self, columns: torch.Tensor, u: torch.Tensor, deadline: float) -> torch.Tensor:
-        """Make factors at the displacements u (3 n, B) [m] for those of the touches ``columns`` (k,) that need one,
-        before the ``deadline`` of `clock.now`. Returns for which (k,) bool: the
-        tangents that `Elasticity` holds of these are projected ones now."""
-        made = torch.zeros(len(columns), dtype=torch.bool, device=columns.device)
-        if not self._serves or not self._contact.symmetric or not self._spent.any():
+    def renew(self, touches: np.ndarray, u: torch.Tensor, deadline: float) -> np.ndarray:
+        """Make factors at the displacements u (3 n, B) [m] for those of the ``touches`` (k,) that need one, before the
+        ``deadline`` of `clock.now`. Returns for which (k,) bool: the tangents that `Elasticity` holds of these are
+        projected ones now."""
+        made = np.zeros(len(touches), bool)
+        if not self.serves or not self._contact.symmetric or not self._spent.any():
             return made
         order = self._model.preconditioner.order
-        for k, b in enumerate(columns.tolist()):
+        for k, b in enumerate(touches.tolist()):
             if (self._spent[b] <= order.work / _WORK or clock.now() > deadline
                     or 8.0 * order.entries * self._contact.batch > _BYTES):
                 continue
-            self._own[b] = self._make(order, columns[k:k + 1], u)
+            self._own[b] = self._make(order, torch.as_tensor(touches[k:k + 1]), u)
             made[k], self._spent[b] = True, 0
         return made
 

@@ -221,7 +221,7 @@ class Solver:
         if (there := self._known(pose)) is not None:
             balance.u[:, columns] = there.u[:, columns]
             return
-        state = balance.evaluate(columns)
+        state = {key: value.clone() for key, value in balance.evaluate(columns).items() if value.dim() == 1}
         older = [k for k in known[-2:] if not np.array_equal(k.pose, before)]
         if not older:
             return
@@ -311,7 +311,7 @@ def hang(balance: Equilibrium, pose: np.ndarray) -> None:
     if not model.load.any():
         return
     deadline = clock.now() + options.seconds * len(balance.every)
-    first, whole = balance.every[:1], balance.load
+    first, whole = balance.every[:1], balance.load.clone()
     away = pose.copy()
     away[..., :3, 3] -= _AWAY * pose[..., :3, 2]
     contact.begin_step(away, balance.u)
@@ -321,7 +321,7 @@ def hang(balance: Equilibrium, pose: np.ndarray) -> None:
     done, part, u = 0.0, 1.0, torch.zeros_like(slope)
     while done < 1.0 and part >= _LEAST_LOAD and clock.now() < deadline:
         share = min(part, 1.0 - done)
-        balance.load = (done + share) * whole
+        balance.load.copy_((done + share) * whole)
         balance.u[:, :1] = u + share * slope
         balance.reset_counts()
         state = balance.evaluate(first)
@@ -333,6 +333,6 @@ def hang(balance: Equilibrium, pose: np.ndarray) -> None:
             done, part = done + share, 2.0 * part
         else:
             part = 0.5 * share
-    balance.load = whole
+    balance.load.copy_(whole)
     balance.u[:] = u
     balance.factors.forget()
