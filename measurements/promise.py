@@ -36,10 +36,13 @@ def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[
         ground, _ = ground_of(loaded, device="cpu")
         for goal in goals:
             progress(f"{loaded.name} at {100 * goal:g} %")
-            pilot, data = (list(touches(loaded, ground, goal, Request(seed=seed, objects=number, workers=workers),
-                                        Store(out / loaded.name / ("rough" * (goal >= ROUGH) + part))))
-                           for part, seed, number in (("pilot", SEED, PILOT), ("data", 0, count)))
-            rows.append(row_of(loaded.name, goal, [s.key for s in ground.steps()], pilot, data,
+            made = []
+            for part, seed, number in (("pilot", SEED, PILOT), ("data", 0, count)):
+                folder = out / loaded.name / ("rough" * (goal >= ROUGH) + part)
+                folder.mkdir(parents=True, exist_ok=True)
+                made.append(list(touches(loaded, ground, goal, Request(seed=seed, objects=number, workers=workers),
+                                         Store(folder))))
+            rows.append(row_of(loaded.name, goal, [s.key for s in ground.steps()], *made,
                                sum(loaded.sample(0).required_touches.frames)))
     return found_of(rows, {"touches": count})
 

@@ -44,3 +44,13 @@ def test_the_table_of_a_scene_and_what_its_record_gives_again(monkeypatch, tmp_p
     again = promise.found_of(found.record()["promise"], found.settings)
     assert found.tables[0].text() == again.tables[0].text()
     assert "foam-block  kept" in found.text() and "refused: 59 of 59 touches" in found.text()
+
+
+def test_what_is_made_lies_in_folders_of_the_scene(tmp_path, monkeypatch):
+    def one(loaded, ground, goal, request, store):
+        store.put("manifest/a.touch", b"{}")
+        return touches(request.objects)
+
+    monkeypatch.setattr(promise, "touches", one)
+    promise.measure(("foam-block",), 30, goals=(0.04, 0.02), out=tmp_path / "new")
+    assert sorted(p.parts[-3] for p in (tmp_path / "new" / "foam-block").rglob("*.touch")) == ["data", "pilot"]
