@@ -11,13 +11,17 @@ from vsfsim.data.writer import DatasetWriter
 TASK = text("toy-v1")
 
 
-def write(folder, views, scene_text="mock", seed=0):
-    """The dataset of some views of mock objects, made in ``folder``."""
+def recipe_of(views, **more):
+    """The recipe of some views of mock objects."""
     splits = Counter({view.object_index: view.split for view in views}.values())
-    recipe = Recipe(scene="mock", scene_text=scene_text, seed=seed, objects=sum(splits.values()), views=1,
-                    touches=len(views[0].touches), splits=dict(splits), device="cpu", tier="linear",
-                    precision="float64", renderer="warp")
-    with DatasetWriter(folder, recipe, [view.name for view in views]) as writer:
+    return Recipe(**{"scene": "mock", "scene_text": "mock", "seed": 0, "objects": sum(splits.values()), "views": 1,
+                     "touches": len(views[0].touches), "splits": dict(splits), "device": "cpu", "tier": "linear",
+                     "precision": "float64", "renderer": "warp", **more})
+
+
+def write(folder, views, **more):
+    """The dataset of some views of mock objects, made in ``folder``."""
+    with DatasetWriter(folder, recipe_of(views, **more), [view.name for view in views]) as writer:
         for view in views:
             writer.add(view)
         return writer.finish()
@@ -30,5 +34,5 @@ def written(folder, *, train=1, test=2, touches=12):
 
 
 def contents(folder):
-    """The bytes of every file in a folder, by its name."""
-    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
+    """The bytes of every file in a folder, by its path in it; None of a folder."""
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}

@@ -4,13 +4,12 @@ traceback."""
 import os
 import re
 import resource
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from mock_dataset import TASK, written
+from mock_dataset import TASK, contents, written
 from texts import text
 
 HERE = Path(__file__).parent
@@ -32,10 +31,6 @@ def run(*words, cwd, **options):
                           capture_output=True, text=True, cwd=cwd, env=env, stdin=subprocess.DEVNULL, **options)
 
 
-def contents(folder):
-    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
-
-
 def assert_refused(out, message):
     """Exit code 2 and one paragraph that holds ``message``."""
     assert out.returncode == 2, out.stdout + out.stderr
@@ -46,16 +41,10 @@ def assert_refused(out, message):
     assert out.stdout == "" and "Traceback" not in out.stderr
 
 
-@pytest.fixture(scope="module")
-def mock_dataset(tmp_path_factory):
-    """The folder of a mock dataset that each test copies."""
-    return written(tmp_path_factory.mktemp("mock") / "toy").path
-
-
 @pytest.fixture
-def toy(mock_dataset, tmp_path, monkeypatch):
-    """A mock dataset and a task on it."""
-    shutil.copytree(mock_dataset, tmp_path / "toy")
+def toy(tmp_path, monkeypatch):
+    """The folder of a mock dataset and of a task on it."""
+    written(tmp_path / "toy")
     (tmp_path / "toy-v1.toml").write_text(TASK)
     monkeypatch.syspath_prepend(HERE / "bench")  # of toy_methods
     return tmp_path
@@ -68,25 +57,14 @@ def toy(mock_dataset, tmp_path, monkeypatch):
     (PRESS, *MESH, "volume"),
     ((*GENERATE, "--workers", "1"), *MESH, "volume"),
     (PRESS, "= 1e5", "== 1e5", "box.toml' is not valid TOML"),
+    (PRESS, "{ sphere = 0.02 }", '{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
+    (PRESS, "{ sphere = 0.02 }", '{ mesh = "flat.obj", scale = 100 }', "box is 10 m long after a scale of 100"),
 ])
 def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, old, new, message):
-    assert old in BOX
-    (tmp_path / "box.toml").write_text(BOX.replace(old, new))
+    (tmp_path / "box.toml").write_text((BOX[:BOX.index("[touches]")] if words == PRESS else BOX).replace(old, new))
     (tmp_path / "flat.obj").write_text(FLAT)
     before = contents(tmp_path)
     assert_refused(vsfsim(*words, cwd=tmp_path), message)
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.parametrize(("probe", "message"), [
-    ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
-    ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
-])
-def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vsfsim, tmp_path, probe, message):
-    (tmp_path / "box.toml").write_text(BOX[:BOX.index("[touches]")].replace("{ sphere = 0.02 }", probe))
-    (tmp_path / "flat.obj").write_text(FLAT)
-    before = contents(tmp_path)
-    assert_refused(vsfsim(*PRESS, cwd=tmp_path), message)
     assert contents(tmp_path) == before
 
 

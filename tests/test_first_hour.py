@@ -123,11 +123,10 @@ def test_the_default_folder_of_a_dataset_is_where_its_task_looks(monkeypatch):
             monkeypatch.setenv("VSFSIM_DATASETS", root)
         for task in (one for one in vsfsim.tasks().values() if not one.dataset.recorded):
             want, scene = task.dataset, load_scene(shelf.find_scene(task.dataset.scene))
-            folder = shelf.dataset_folder(want.scene, text=scene.text, seed=want.seed, objects=want.objects,
-                                          views=want.views, touches=want.touches, tier=want.tier)
+            given = {name: getattr(want, name) for name in ("seed", "objects", "views", "touches", "tier")}
+            folder = shelf.dataset_folder(want.scene, text=scene.text, **given)
             assert folder == want.path() and folder.parts[0] == root, task.name
-            other = shelf.dataset_folder(want.scene, text=scene.text, seed=want.seed + 1, objects=want.objects,
-                                         views=want.views, touches=want.touches, tier=want.tier)
+            other = shelf.dataset_folder(want.scene, text=scene.text, **{**given, "seed": want.seed + 1})
             assert other == Path(root) / want.scene, "another dataset of the scene does not take the task's place"
 
 

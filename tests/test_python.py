@@ -12,7 +12,7 @@ import pytest
 from mock_dataset import TASK, written
 from texts import text
 
-import vsfsim
+import vsfsim as api
 from vsfsim.core.errors import DatasetError, MethodError
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.dataset import Dataset
@@ -26,7 +26,7 @@ def toy(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def dataset(toy):
-    return vsfsim.load(toy)
+    return api.load(toy)
 
 
 def test_import_needs_no_package_and_names_are_there():
@@ -55,24 +55,19 @@ def test_python_takes_every_option_of_the_command():
     pictures are methods, and --all is a loop over `vsfsim.methods()`."""
     from vsfsim.cli import bench, simulate
 
-    for command, function in ((simulate.press, vsfsim.press), (simulate.generate, vsfsim.generate),
-                              (bench.evaluate, vsfsim.evaluate)):
+    for command, function in ((simulate.press, api.press), (simulate.generate, api.generate),
+                              (bench.evaluate, api.evaluate)):
         options = set(inspect.signature(command).parameters) - FILES
         fields = {field.name for field in dataclasses.fields(Request)} if command is not bench.evaluate else set()
         assert options <= set(inspect.signature(function).parameters) | fields, command.__name__
 
 
-def test_tasks_and_methods_are_those_of_the_commands(vsfsim_command, tmp_path):
-    for name, found in (("tasks", vsfsim.tasks()), ("methods", vsfsim.methods())):
-        out = vsfsim_command("list", name, "--json", "-", cwd=tmp_path)
+def test_tasks_and_methods_are_those_of_the_commands(vsfsim, tmp_path):
+    for name, found in (("tasks", api.tasks()), ("methods", api.methods())):
+        out = vsfsim("list", name, "--json", "-", cwd=tmp_path)
         assert json.loads(out.stdout) == found.table()
         assert all(key in repr(found) and key in found._repr_html_() for key in found)
-    assert vsfsim.tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots == (0, 1, 5)
-
-
-@pytest.fixture
-def vsfsim_command(request):
-    return request.getfixturevalue("vsfsim")
+    assert api.tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots == (0, 1, 5)
 
 
 def test_a_dataset_is_a_sequence_of_object_views(dataset):
@@ -153,12 +148,12 @@ def test_a_torch_view_works_with_workers(dataset, start, workers):
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)
 
 
-def test_evaluate_is_the_command(toy, tmp_path, vsfsim_command):
+def test_evaluate_is_the_command(toy, tmp_path, vsfsim):
     (tmp_path / "toy-v1.toml").write_text(TASK)
-    here = vsfsim.evaluate("vsfsim.baselines.near_springs:NearSprings", tmp_path / "toy-v1.toml", toy,
+    here = api.evaluate("vsfsim.baselines.near_springs:NearSprings", tmp_path / "toy-v1.toml", toy,
                            out=tmp_path / "here.json", seeds=1)
     assert here.method == "vsfsim.baselines.near_springs:NearSprings" and here.seeds == (0,)
-    out = vsfsim_command("evaluate", "--method", "near-springs", "--task", "toy-v1.toml",
+    out = vsfsim("evaluate", "--method", "near-springs", "--task", "toy-v1.toml",
                          "--dataset", toy, "--json", "-", "--seeds", 1, cwd=tmp_path)
     told = json.loads(out.stdout)
     assert {metric: {shot: score.mean for shot, score in by_shot.items()} for metric, by_shot in here.scores.items()} \
@@ -175,14 +170,14 @@ def test_a_class_is_refused(toy, tmp_path):
 
     (tmp_path / "toy-v1.toml").write_text(TASK)
     with pytest.raises(MethodError, match="%%writefile mine"):
-        vsfsim.evaluate(Mine, tmp_path / "toy-v1.toml", toy)
+        api.evaluate(Mine, tmp_path / "toy-v1.toml", toy)
 
 
-def test_a_press_gives_what_the_command_prints(tmp_path, vsfsim_command):
+def test_a_press_gives_what_the_command_prints(tmp_path, vsfsim):
     path = "{ path = [[0.005, 0.0, 0.041], [0.005, 0.0, 0.039]], frames = 2 }"
     (tmp_path / "small.toml").write_text(text("block", press=path, young_modulus=1e4))
-    made = vsfsim.press(tmp_path / "small.toml", tier="linear", progress=lambda *_: None)
-    out = vsfsim_command("press", "small.toml", "--tier", "linear", "--json", "-", cwd=tmp_path)
+    made = api.press(tmp_path / "small.toml", tier="linear", progress=lambda *_: None)
+    out = vsfsim("press", "small.toml", "--tier", "linear", "--json", "-", cwd=tmp_path)
     told = json.loads(out.stdout)
     assert told["normal_force"] == made.normal_force.tolist() and told["force"] == made.force.tolist()
     assert made.normal_force == pytest.approx(-(made.force @ np.array(told["axis"]))) and made.converged

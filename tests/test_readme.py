@@ -72,6 +72,7 @@ def test_the_architecture_names_what_is_there():
         assert len(steps) == 10 and len(re.findall(r"`[\w/.-]+\.(?:py|toml)`", "\n".join(steps))) >= 10
 
 
+@pytest.mark.slow
 def test_what_to_read_first_is_most_of_what_runs(tmp_path):
     """Two lists of files in CONTRIBUTING, 20 at most, hold 80 % of the statements of a press and of an evaluation."""
     from vsfsim import press

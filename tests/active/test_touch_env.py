@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+from mock_dataset import write
 from pages import ROOT, blocks
 
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import TaskError
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -34,14 +33,9 @@ class Zero:
 def env(tmp_path_factory):
     """Of a mock task with four training and two test objects, each with 16 touches."""
     task = parse_task(MOCK_TASK.replace("objects = 3", "objects = 6").replace("touches = 8", "touches = 16"), "mock")
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=6, views=1, touches=16,
-                    splits={"train": 4, "test": 2}, device="cpu", tier="linear", precision="float64", renderer="warp")
     views = [mock_view(i, split="train" if i < 4 else "test", touches=16, stiffness=4.0 ** (i % 2)) for i in range(6)]
     folder = tmp_path_factory.mktemp("active") / "toy"
-    with DatasetWriter(folder, recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        writer.finish()
+    write(folder, views)
 
     import vsfsim.active  # noqa: F401  registers it
 

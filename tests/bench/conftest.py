@@ -44,7 +44,7 @@ def toy_views():
 @pytest.fixture(scope="session")
 def write_dataset(tmp_path_factory):
     """Writes the views of some mock objects into a folder of their own."""
-    return lambda *given: mock_dataset.write(tmp_path_factory.mktemp("data") / "toy", *given)
+    return lambda views, **more: mock_dataset.write(tmp_path_factory.mktemp("data") / "toy", views, **more)
 
 
 @pytest.fixture(scope="session")

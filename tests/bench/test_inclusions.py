@@ -22,7 +22,7 @@ from vsfsim.core.material import Inclusion
 @pytest.fixture(scope="module")
 def dataset(write_dataset):
     views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
-    return write_dataset(views, texts.text("hidden"), 3)
+    return write_dataset(views, scene_text=texts.text("hidden"), seed=3)
 
 
 def of(task_text, primary):

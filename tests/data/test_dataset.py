@@ -15,36 +15,25 @@ import h5py
 import numpy as np
 import pytest
 from filelock import FileLock
-from mock_dataset import contents
+from mock_dataset import contents, recipe_of, write
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.file_lock import take
 from vsfsim.data import writer as writer_module
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.recipe import Recipe
 from vsfsim.data.verify import summary_rows, verify
 from vsfsim.data.writer import DatasetWriter
 
-RECIPE = Recipe(scene="mock", scene_text='name = "mock"\nseed = 1\n', seed=0, objects=3, views=1, touches=4,
-                splits={"train": 2, "test": 1},
-                device="cpu", tier="linear", precision="float64", renderer="warp", options={})
 VIEWS = [mock_view(i, split="train" if i < 2 else "test", touches=4) for i in range(3)]
+RECIPE = recipe_of(VIEWS, scene_text='name = "mock"\nseed = 1\n')
 NAMES = [view.name for view in VIEWS]
-
-
-def build(path, views=VIEWS, recipe=RECIPE):
-    with DatasetWriter(path, recipe, NAMES) as writer:
-        for view in views:
-            if view.name in writer.missing():
-                writer.add(view)
-        return writer.finish()
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """A whole dataset, which nothing changes."""
-    return build(tmp_path_factory.mktemp("built") / "d").path
+    return write(tmp_path_factory.mktemp("built") / "d", VIEWS, scene_text=RECIPE.scene_text).path
 
 
 @pytest.fixture
@@ -88,26 +77,20 @@ def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(built, tmp_path):
 
 
 def test_a_finished_dataset_is_left_alone_and_repaired_if_damaged(made):
+    """Also one whose writer was killed between the manifest and the last clean-up."""
     before = contents(made)
-    with DatasetWriter(made, RECIPE, NAMES) as writer:
-        assert writer.missing() == [] and "finished already" in writer.notes[0]
-        writer.finish()
-    assert contents(made) == before
+    (made / "dataset.part.json").write_text("{}")
+    (made / "dataset.lock").write_text("123")
+    assert {problem.file for problem in verify(made).problems} == {"dataset.part.json", "dataset.lock"}
+    for _ in range(2):
+        with DatasetWriter(made, RECIPE, NAMES) as writer:
+            assert writer.missing() == [] and "finished already" in writer.notes[-1]
+            writer.finish()
+        assert contents(made) == before
     (made / f"{NAMES[0]}.h5").write_bytes(b"rot")
     with DatasetWriter(made, RECIPE, NAMES) as writer:
         assert writer.missing() == [NAMES[0]]
         writer.add(VIEWS[0])
-        writer.finish()
-    assert contents(made) == before
-
-
-def test_killed_between_the_manifest_and_the_last_clean_up(made):
-    before = contents(made)
-    (made / "dataset.part.json").write_text("{}")
-    (made / "dataset.lock").write_text("123")
-    assert verify(made).problems, "leftovers are told"
-    with DatasetWriter(made, RECIPE, NAMES) as writer:
-        assert writer.missing() == []
         writer.finish()
     assert contents(made) == before
 
@@ -188,15 +171,9 @@ def test_finish_refuses_a_gap(tmp_path):
             writer.finish()
 
 
-def test_verify_is_content_with_a_good_dataset(made):
-    report = verify(made)
-    assert report.ok, report.text()
-    assert (report.files, report.touches, report.untouched, report.unconverged) == (3, 12, 3, 0)
-
-
 def test_one_flipped_bit_anywhere_is_found(tmp_path):
     views = [mock_view(i, split="train" if i < 2 else "test", touches=1) for i in range(3)]
-    build(tmp_path / "d", views, dataclasses.replace(RECIPE, touches=1))
+    write(tmp_path / "d", views)
     rng = np.random.default_rng(0)
     for file in sorted((tmp_path / "d").iterdir()):
         if file.name == "README.md":
@@ -267,13 +244,15 @@ def test_unconverged_frames_are_counted_not_complained_about(tmp_path):
     converged[4:6], force[4:6] = False, np.nan
     view = dataclasses.replace(VIEWS[0], touches=(dataclasses.replace(touch, converged=converged, force=force),
                                                   *VIEWS[0].touches[1:]))
-    build(tmp_path / "d", [view, *VIEWS[1:]])
+    write(tmp_path / "d", [view, *VIEWS[1:]])
     report = verify(tmp_path / "d")
     assert report.ok and report.unconverged == 2
 
 
-def test_summary_tells_the_main_figures(made):
-    told = dict(summary_rows(made))
+def test_a_good_dataset_has_no_problems_and_its_summary_tells_the_main_figures(built):
+    report, told = verify(built), dict(summary_rows(built))
+    assert (report.files, report.touches, report.untouched, report.unconverged) == (3, 12, 3, 0)
+    assert report.ok, report.text()
     assert told["objects"] == "3 in 3 views: 2 train, 1 test" and told["touches"] == "12, 3 met nothing"
     top = max(t.normal_force().max() for v in VIEWS for t in v.touches)
     assert told["normal force"].startswith(f"0 to {top:.3g} N")
@@ -301,12 +280,7 @@ def test_a_dataset_larger_than_memory_is_read_a_few_views_at_a_time(tmp_path):
     pytest.importorskip("torch")
     from vsfsim.data.torch_view import KEPT
 
-    views = [mock_view(i, split="train", touches=2) for i in range(10)]
-    recipe = dataclasses.replace(RECIPE, objects=10, touches=2, splits={"train": 10})
-    with DatasetWriter(tmp_path / "d", recipe, [view.name for view in views]) as writer:
-        for view in views:
-            writer.add(view)
-        dataset = writer.finish()
+    dataset = write(tmp_path / "d", [mock_view(i, split="train", touches=2) for i in range(10)])
 
     def peak(count):
         touches = dataset[:count].torch()

@@ -64,20 +64,26 @@ def test_a_symbolic_link_is_refused(folder):
         load_all(folder)
 
 
-def external_link(file, folder):
-    del file["view/depth"]
-    file["view/depth"] = h5py.ExternalLink("other.h5", "/x")
+def put(name, *shape, **more):
+    """A change that puts a dataset in the place of another one."""
+    def change(file, folder):
+        del file[name]
+        file.create_dataset(name, *shape, **more)
+
+    return change
 
 
-def soft_link(file, folder):
-    del file["view/depth"]
-    file["view/depth"] = h5py.SoftLink("/truth/young_modulus")
+def link(to):
+    def change(file, folder):
+        del file["view/depth"]
+        file["view/depth"] = to
+
+    return change
 
 
 def external_storage(file, folder):
     (folder / "raw").write_bytes(bytes(72))
-    del file["view/intrinsics"]
-    file.create_dataset("view/intrinsics", (3, 3), "float64", external=[(str(folder / "raw"), 0, 72)])
+    put("view/intrinsics", (3, 3), "float64", external=[(str(folder / "raw"), 0, 72)])(file, folder)
 
 
 def virtual(file, folder):
@@ -87,29 +93,9 @@ def virtual(file, folder):
     file.create_virtual_dataset("view/intrinsics", layout)
 
 
-def vast(file, folder):
-    del file["view/depth"]
-    file.create_dataset("view/depth", (30_000, 30_000), "float32", chunks=(100, 100), compression="gzip")
-
-
-def vast_chunk(file, folder):
-    del file["view/intrinsics"]
-    file.create_dataset("view/intrinsics", (3, 3), "float64", chunks=(20_000, 20_000), maxshape=(None, None))
-
-
 def many(file, folder):
     for k in range(8):
         file.create_dataset(f"view/more{k}", (10_000, 10_000), "float32", chunks=(100, 100), compression="gzip")
-
-
-def foreign_filter(file, folder):
-    del file["view/depth"]
-    file.create_dataset("view/depth", data=np.zeros((48, 64), np.float32), compression="lzf")
-
-
-def objects(file, folder):
-    del file["truth/region_names"]
-    file.create_dataset("truth/region_names", data=["soft", "stiff"], dtype=h5py.string_dtype())
 
 
 def a_group(file, folder):
@@ -118,11 +104,16 @@ def a_group(file, folder):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (external_link, "view/depth is a link to another place"), (soft_link, "view/depth is a link to another place"),
+    (link(h5py.ExternalLink("other.h5", "/x")), "view/depth is a link to another place"),
+    (link(h5py.SoftLink("/truth/young_modulus")), "view/depth is a link to another place"),
     (external_storage, "keeps its data in another file"), (virtual, "keeps its data in another file"),
-    (vast, r"view/depth has shape \(30000, 30000\), 3600 MB"), (vast_chunk, "and a chunk 67 MB"),
-    (many, "announces more than"), (foreign_filter, "is packed with filter 32000"),
-    (objects, "has dtype object"), (a_group, "view/depth is a group"),
+    (put("view/depth", (30_000, 30_000), "float32", chunks=(100, 100), compression="gzip"),
+     r"view/depth has shape \(30000, 30000\), 3600 MB"),
+    (put("view/intrinsics", (3, 3), "float64", chunks=(20_000, 20_000), maxshape=(None, None)), "and a chunk 67 MB"),
+    (many, "announces more than"),
+    (put("view/depth", data=np.zeros((48, 64), np.float32), compression="lzf"), "is packed with filter 32000"),
+    (put("truth/region_names", data=["soft", "stiff"], dtype=h5py.string_dtype()), "has dtype object"),
+    (a_group, "view/depth is a group"),
 ])
 def test_object_files_that_point_outside_or_are_too_large_are_refused(folder, change, message):
     path = folder / "mock-0001-v0.h5"

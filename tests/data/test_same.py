@@ -4,12 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from mock_dataset import write
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.recipe import Recipe
 from vsfsim.data.verify import CLOSE, compare, difference
-from vsfsim.data.writer import DatasetWriter
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +38,9 @@ def test_other_frames_or_marks_and_a_force_out_of_nothing_are_other(touch):
 
 
 def test_datasets_of_two_devices_are_compared_and_those_of_two_recipes_are_not(tmp_path):
-    view = mock_view(0, touches=2)
+    view = mock_view(0, split="test", touches=2)
     for name, device, tier in (("cpu", "cpu", "linear"), ("gpu", "cuda", "linear"), ("other", "cpu", "fem")):
-        recipe = Recipe(scene="mock", scene_text='name = "mock"\n', seed=0, objects=1, views=1, touches=2,
-                        splits={"test": 1}, device=device, tier=tier, precision="float64", renderer="warp", options={})
-        with DatasetWriter(tmp_path / name, recipe, [view.name]) as writer:
-            writer.add(dataclasses.replace(view, split="test"))
-            writer.finish()
+        write(tmp_path / name, [view], device=device, tier=tier)
     assert compare(tmp_path / "cpu", tmp_path / "gpu").equal == 2
     with pytest.raises(DatasetError, match="different recipes: tier 'linear' there, 'fem' asked for"):
         compare(tmp_path / "cpu", tmp_path / "other")

@@ -9,11 +9,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from mock_dataset import recipe_of
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.data.hdf5 import encode_view
 from vsfsim.data.manifest import make_manifest
-from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, Touch, Truth, View
 from vsfsim.data.schema import ATTRIBUTES, FIELDS, TABLES, TEXT, fields_of
 
@@ -78,9 +78,6 @@ def test_the_columns_of_the_audit_are_rows():
 
 
 def test_docs_page_lists_every_attribute_and_every_key_of_the_manifest():
-    recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1},
-                    device="cpu", tier="linear",
-                    precision="float64", renderer="warp", options={
-                        "accuracy": {"asked": 0.05, "factor": 1.0, "expected": 0.02}})
+    recipe = recipe_of([mock_view(0)], options={"accuracy": {"asked": 0.05, "factor": 1.0, "expected": 0.02}})
     listed = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
     assert listed == [*json.loads(make_manifest(recipe, {}, (), {"a": "why"})), *ATTRIBUTES]

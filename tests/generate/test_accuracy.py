@@ -146,23 +146,15 @@ def test_a_verdict_has_an_exact_bound(kept, audits, word):
     assert observed({}, [0.1]) is None
 
 
-@pytest.mark.parametrize("what", ["bias", "shallow", "lost", "unsure", "quiet"])
-def test_the_error_of_a_touch_is_that_of_its_worst_reading(what):
-    wanted = np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 10.0]])
-    good, force, error = np.ones(3, bool), wanted.copy(), np.zeros(3)
-    if what == "bias":
-        force *= 1.09
-    elif what == "shallow":
-        force[1, 2] = 1.09
-    elif what == "unsure":
-        error[2] = 0.9
-    elif what == "quiet":
-        force, wanted = 0.1 * force[:2], 0.1 * wanted[:2]
-        assert error_against(force, good[:2], wanted, good[:2]) is None
-        return
-    lost = good if what != "lost" else np.array([True, False, True])
-    assert error_against(force, lost, wanted, good, error) == pytest.approx(np.inf if what == "lost" else 0.09)
-    assert error_against(force, good, wanted, lost, error) == pytest.approx(np.inf if what == "lost" else 0.09)
+@pytest.mark.parametrize(("off", "unsure", "lost", "error"), [
+    ([0.09] * 3, 0.0, [], 0.09), ([0.0, 0.09, 0.0], 0.0, [], 0.09), ([0.0] * 3, 0.9, [], 0.09),
+    ([0.0] * 3, 0.0, [1], np.inf)])
+def test_the_error_of_a_touch_is_that_of_its_worst_reading(off, unsure, lost, error):
+    wanted, good = np.outer([0.1, 1.0, 10.0], [0.0, 0.0, 1.0]), np.ones(3, bool)
+    force, found = wanted * (1.0 + np.array(off))[:, None], ~np.isin(range(3), lost)
+    for pair in ((found, good), (good, found)):
+        assert error_against(force, pair[0], wanted, pair[1], np.array([0.0, 0.0, unsure])) == pytest.approx(error)
+    assert error_against(0.1 * force[:2], good[:2], 0.1 * wanted[:2], good[:2]) is None, "too quiet"
 
 
 @pytest.mark.slow

@@ -15,6 +15,11 @@ RADIUS, FRAMES = 0.0035, 6
 TILT = np.array([0.2, 0.0, 1.0]) / np.sqrt(1.04)
 
 
+@pytest.fixture(autouse=True)
+def folder(tmp_path):
+    (tmp_path / "in").mkdir()
+
+
 def presses(seed=0, stiffness=1.0, count=30, apart=0.004):
     """Presses on the plane z = -0.2 x: contacts (n, 3), centres and forces (n, T, 3); F = k d^1.5 along the normal."""
     rng = np.random.default_rng(seed)
@@ -26,10 +31,10 @@ def presses(seed=0, stiffness=1.0, count=30, apart=0.004):
     return contact, position, (k[:, None] * depth**1.5)[..., None] * TILT
 
 
-def write_npz(path, made, **more):
+def write_npz(path, made, radius=RADIUS, **more):
     contact, position, force = made
     np.savez(path.with_suffix(".npz"), position=position, force=force, normal=np.tile(TILT, (len(contact), 1)),
-             radius=RADIUS, **more)
+             radius=radius, **more)
 
 
 def write_csv(path, made, head="press,x,y,z,fx,fy,fz,nx,ny,nz,radius"):
@@ -53,7 +58,6 @@ def write_mat(path, made):
 @pytest.mark.parametrize("write", [write_npz, write_csv, write_mat])
 def test_each_format_gives_the_presses_that_were_made(write, tmp_path):
     made = presses()
-    (tmp_path / "in").mkdir()
     write(tmp_path / "in" / "plane", made)
     dataset = import_probings(tmp_path / "in", tmp_path / "d")
     assert verify(tmp_path / "d").ok
@@ -68,7 +72,6 @@ def test_each_format_gives_the_presses_that_were_made(write, tmp_path):
 def test_rows_of_a_press_that_was_stopped_are_left_out(tmp_path):
     contact, position, force = presses()
     position[3, 4:], force[3, 4:] = 0.0, 0.0
-    (tmp_path / "in").mkdir()
     write_mat(tmp_path / "in" / "plane", (contact, position, force))
     lengths = [len(touch.time) for touch in import_probings(tmp_path / "in", tmp_path / "d")[0].touches]
     assert lengths == [FRAMES] * 3 + [4] + [FRAMES] * 26
@@ -77,7 +80,6 @@ def test_rows_of_a_press_that_was_stopped_are_left_out(tmp_path):
 def test_what_is_left_out_and_how_well_another_day_repeats_it_is_told(tmp_path):
     """Forces a tenth larger on another day are off by a tenth of zero's error, and presses that say nothing count."""
     contact, position, force = presses()
-    (tmp_path / "in").mkdir()
     write_npz(tmp_path / "in" / "later", (contact + 2e-4 * TILT, position, 1.1 * force))
     position[5] = position[5, :1] - np.linspace(0.0, 4e-4, FRAMES)[:, None] * TILT
     force[6] *= 100.0
@@ -108,7 +110,6 @@ def test_a_pitch_of_zero_shows_the_contacts_alone_and_an_offset_moves_them_out(t
     points = presses()[0]
     seen = view_from_above(points, 0.0).points()
     assert len(seen) == len(points) and np.abs(np.sort(seen, axis=0) - np.sort(points, axis=0)).max() < 1.5e-4
-    (tmp_path / "in").mkdir()
     write_npz(tmp_path / "in" / "plane", presses())
     moved = import_probings(tmp_path / "in", tmp_path / "d", Options(pitch=0.0, contact_offset=0.001))[0]
     np.testing.assert_allclose(moved.touches[4].target, points[4] + 0.001 * TILT, atol=1e-9)
@@ -118,24 +119,15 @@ def test_a_pitch_of_zero_shows_the_contacts_alone_and_an_offset_moves_them_out(t
 @pytest.mark.parametrize("write, options, said", [
     (lambda path: write_csv(path, presses(), head="press,x,y,z,fx,fy,fz,nx,ny,nz"), Options(), "plane.csv"),
     (lambda path: write_npz(path, presses(), contact=np.zeros((29, 3))), Options(), "plane.npz"),
-    (lambda path: write_npz(path, presses()), Options(touches=40),
-     "30 usable presses"),
+    (lambda path: write_npz(path, presses(), radius=3.5), Options(), r"3\.5 m.*metres"),
+    (lambda path: write_npz(path, presses()), Options(touches=40), "30 usable presses"),
     (lambda path: np.savez(path, force=1.0, position=1.0), Options(), "plane.npz"),
     (lambda path: write_npz(path, presses(count=6)), Options(), "10 are needed"),
     (lambda path: write_npz(path, presses()), Options(again=("plan",)), "and plan"),
     (lambda path: path.with_suffix(".csv").write_text(""), Options(), "plane.csv"),
     (lambda path: None, Options(), "no file")])
 def test_what_cannot_be_read_is_refused_with_its_name(write, options, said, tmp_path):
-    (tmp_path / "in").mkdir()
     write(tmp_path / "in" / "plane")
     with pytest.raises(DatasetError, match=said):
         import_probings(tmp_path / "in", tmp_path / "d", options)
     assert not (tmp_path / "d").exists()
-
-
-def test_lengths_in_millimetres_are_refused(tmp_path):
-    (tmp_path / "in").mkdir()
-    made = presses()
-    np.savez(tmp_path / "in" / "plane.npz", position=made[1], force=made[2], normal=np.tile(TILT, (30, 1)), radius=3.5)
-    with pytest.raises(DatasetError, match=r"3\.5 m.*metres"):
-        import_probings(tmp_path / "in", tmp_path / "d")

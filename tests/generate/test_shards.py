@@ -7,23 +7,20 @@ import shutil
 import signal
 
 import pytest
-from mock_dataset import contents
+from mock_dataset import contents, recipe_of
 
+from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.core.system import engines
 from vsfsim.core.system.engines import Fan, shard_of
 from vsfsim.data import lines
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import Store
-from vsfsim.data.recipe import Recipe
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate import workers
 from vsfsim.generate.effector import find_effector
 from vsfsim.generate.run import generate, make, planned
-
-RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
-                splits={"test": 2}, device="cpu", tier="linear", precision="float64", renderer="warp")
 
 
 @pytest.fixture(scope="module")
@@ -51,21 +48,13 @@ def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp
     assert "4 object views" in (out / "README.md").read_text()
 
 
-def test_a_file_without_its_line_is_made_again(scene, made, tmp_path, here):
-    out = tmp_path / "d"
-    make(planned(scene, out, objects=4, fan=Fan((0, 2))))
-    (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
-    assert generate(scene, out, objects=4).sha256 == made.sha256 and contents(out) == contents(made.path)
-
-
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
-    names = ["a", "b"]
-    with DatasetWriter(tmp_path / "d", RECIPE, names, shard=(0, 2)):
-        with DatasetWriter(tmp_path / "d", RECIPE, names, shard=(1, 2)):
-            pass
+    given = tmp_path / "d", recipe_of([mock_view(0), mock_view(1)]), ["a", "b"]
+    with DatasetWriter(*given, shard=(0, 2)):
+        DatasetWriter(*given, shard=(1, 2)).close()
         for shard in (None, (0, 2)):
             with pytest.raises(DatasetError, match=f"being written by process {os.getpid()}"):
-                DatasetWriter(tmp_path / "d", RECIPE, names, shard=shard)
+                DatasetWriter(*given, shard=shard)
 
 
 def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path, here, monkeypatch):
@@ -160,7 +149,8 @@ def test_words_that_a_job_cannot_have_are_refused(engine, word, message):
 
 
 def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim):
-    """The signal arrives at the worst moment: the file lies there and its line does not."""
+    """The signal arrives at the worst moment: the file lies there and its line does not. Whatever is in it, it is made
+    again."""
     words = ("generate", scene.path, "--out", "d", "--objects", 4)
     before, real = signal.getsignal(signal.SIGTERM), lines.put_line
 
@@ -178,6 +168,7 @@ def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkey
     assert stopped.returncode == 143 and "Run the same command again" in stopped.stderr
     assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [
         "dataset.part.json", "manifest", "tiny-0000-v0.h5", "tiny-0001-v0.h5"]
+    (tmp_path / "d" / "tiny-0001-v0.h5").write_bytes((tmp_path / "d" / "tiny-0000-v0.h5").read_bytes())
     assert generate(scene, tmp_path / "d", objects=4).sha256 == made.sha256
     assert contents(tmp_path / "d") == contents(made.path)
 

@@ -20,25 +20,14 @@ SCENE = scene("block", ("press = ", "touches = { count = 12, depth = 0.004, appr
               shape="{ box = [0.06, 0.06, 0.04] }", press=None).sample(0)
 
 
-@dataclasses.dataclass
-class CloudView:
-    """A view as `aim_probe` reads it: a cloud and where the camera is."""
-
-    cloud: np.ndarray
-    camera_pose: np.ndarray
-
-    def points(self):
-        return self.cloud
-
-
 @pytest.fixture(scope="module")
 def model(block):
     return block(SIZE, 0.02)
 
 
-def view(*, top=True, side=True, inside=False):
-    """What a camera in front of the block's corner at +x sees: top and side; or points that lie inside, as a wrong
-    depth would give."""
+def view(*, top=True, side=True, inside=False, under=1.0):
+    """The cloud, up to a height ``under`` [m], and where the camera is, as `aim_probe` reads a view: what a camera in
+    front of the block's corner at +x sees: top and side; or points that lie inside, as a wrong depth would give."""
     t = np.linspace(-0.028, 0.028, 29)
     a, b = (v.ravel() for v in np.meshgrid(t, t))
     h = (b + 0.03) * 2 / 3
@@ -51,7 +40,9 @@ def view(*, top=True, side=True, inside=False):
         parts.append(np.column_stack([a, b, np.full(len(a), 0.01)]))
     pose = np.eye(4)
     pose[:3, 3] = [0.2, 0.0, 0.25]
-    return CloudView(np.concatenate(parts), pose)
+    cloud = np.concatenate(parts)
+    cloud = cloud[cloud[:, 2] < under]
+    return SimpleNamespace(cloud=cloud, points=lambda: cloud, camera_pose=pose)
 
 
 def streams(seed=0):
@@ -92,10 +83,8 @@ def test_the_path_never_goes_below_the_table(model):
     assert low - 0.01 >= -1e-12
     assert any(a.target[2] < 0.02 for a in found), "low targets were meant to be tried"
     # and where nothing else is to be had, that is said
-    seen = view(top=False)
-    foot = dataclasses.replace(seen, cloud=seen.cloud[seen.cloud[:, 2] < 0.008])
     with pytest.raises(SceneError, match="no target of 200 can be reached"):
-        aims(model, foot, count=1)
+        aims(model, view(top=False, under=0.008), count=1)
 
 
 def test_blocked_targets_are_drawn_again(model):

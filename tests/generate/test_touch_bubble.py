@@ -1,6 +1,7 @@
 """A dataset felt by a bubble: aims, paths and limits; whole and readable; what is refused."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,15 +19,6 @@ from vsfsim.generate.aim import Aim, tilted
 from vsfsim.generate.resim import again
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.robot.path import turn_to
-
-
-@dataclasses.dataclass
-class Plan:
-    """Of a touch."""
-
-    poses: np.ndarray
-    axis: np.ndarray
-    probe: Dome
 
 
 def rim_of(triangles, nodes):
@@ -90,7 +82,8 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
 def test_a_plan_made_again_is_the_touch(made):
     dataset = Dataset.open(made)
     (view,) = dataset
-    (found,) = again(dataset.recipe, view.name, [Plan(view.touches[1].mount_pose, view.touches[1].axis, view.probe)])
+    plan = SimpleNamespace(poses=view.touches[1].mount_pose, axis=view.touches[1].axis, probe=view.probe)
+    (found,) = again(dataset.recipe, view.name, [plan])
     # frames are balanced to 1e-4 of the acting force, and the sideways parts are small differences of large forces
     bound = 1e-4 * np.abs(view.touches[1].force).max()
     assert found.force == pytest.approx(view.touches[1].force, rel=1e-3, abs=bound)

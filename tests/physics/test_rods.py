@@ -226,30 +226,39 @@ def test_what_cannot_be_solved_is_refused():
 
 @wp.kernel(enable_backward=False)
 def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd), kd: wp.vec3d, kphi: wp.vec3d,
-                 energy_out: wp.array(dtype=wp.float64), first_out: wp.array2d(dtype=wp.vec3d),
-                 second_out: wp.array2d(dtype=wp.spatial_matrixd)):
+                 wire: wp.vec2d, left: wp.vec3d, energy_out: wp.array(dtype=wp.float64),
+                 first_out: wp.array2d(dtype=wp.vec3d), second_out: wp.array2d(dtype=wp.spatial_matrixd)):
     b = wp.tid()
     s = strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2],
                wp.float64(0.1))
-    energy_out[b] = energy(s, kd, kphi, wp.vec2d(), wp.vec3d())
-    mu = wp.cw_mul(kphi, s.phi)
+    energy_out[b] = energy(s, kd, kphi, wire, left)
+    mu = moment(s, kphi, wire, left)
     f, mc, mp = gradient(s, kd, mu)
     first_out[b, 0] = f
     first_out[b, 1] = mc
     first_out[b, 2] = mp
-    h = hessian(s, kd, mu, wp.diag(kphi), wp.float64(1.0))
+    h = hessian(s, kd, mu, moment_tangent(s, kphi, wire, left), wp.float64(1.0))
     second_out[b, 0] = h.parent
     second_out[b, 1] = h.mixed
     second_out[b, 2] = h.child
 
 
-from vsfsim.physics.rods.kernels.segment import energy, gradient, hessian, strain  # noqa: E402  compiled at the launch
+from vsfsim.physics.rods.kernels.segment import (  # noqa: E402  compiled at the launch
+    energy,
+    gradient,
+    hessian,
+    moment,
+    moment_tangent,
+    strain,
+)
 
 
-@pytest.mark.parametrize("bend", [0.01, 0.4, 2.0])
-def test_the_gradient_and_the_second_derivative_are_those_of_the_energy(bend, device):
+@pytest.mark.parametrize(("bend", "wire"), [
+    (0.01, (0.0, 0.0)), (0.4, (0.0, 0.0)), (2.0, (0.0, 0.0)),
+    (0.01, (0.02, 1e-3)), (0.4, (0.02, 1e-3)), (0.4, (0.02, 0.1)), (2.0, (0.02, 1e-3))])
+def test_the_gradient_and_the_second_derivative_are_those_of_the_energy(bend, wire, device):
     """Along random paths of constant spins, by central differences, from nearly straight to two radians in one
-    segment."""
+    segment; without a core, and with one that yields, or does not, with a plastic bending left from before."""
     rng = np.random.default_rng(int(10 * bend))
     kd, kphi = np.array([40.0, 7.0, 5.0]), np.array([0.02, 0.05, 0.03])
     frame, turn_p, axis = rng.normal(size=(3, 3))
@@ -269,7 +278,7 @@ def test_the_gradient_and_the_second_derivative_are_those_of_the_energy(bend, de
     blocks = wp.zeros((5, 3), dtype=wp.spatial_matrixd, device=device)
     wp.launch(_derivatives, dim=5, inputs=[wp.array(np.array(place), dtype=wp.vec3d, device=device),
                                            wp.array(np.array(turn), dtype=wp.quatd, device=device), wp.vec3d(*kd),
-                                           wp.vec3d(*kphi)],
+                                           wp.vec3d(*kphi), wp.vec2d(*wire), wp.vec3d(0.0, 0.02, -0.01)],
               outputs=[energies, first, blocks], device=device)
     e, (f, mc, mp), h = energies.numpy(), first.numpy()[2], blocks.numpy()[2]
     slope = np.concatenate([-f, mp, f, mc]) @ direction

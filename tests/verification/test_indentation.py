@@ -55,8 +55,11 @@ def errors(force, reference):
     return np.abs(found / expected - 1.0)
 
 
-@pytest.mark.parametrize("tier", ["fem-coarse", pytest.param("fem", marks=pytest.mark.slow),
-                                  pytest.param("fem-fine", marks=pytest.mark.slow)])
+every_tier = pytest.mark.parametrize("tier", ["fem-coarse", *(pytest.param(tier, marks=pytest.mark.slow)
+                                                              for tier in ("fem", "fem-fine"))])
+
+
+@every_tier
 def test_homogeneous_block(device, tier):
     force = run("indent-homogeneous", tier, device)
     allowed = np.maximum(2.0 * np.array(S1_ERRORS[tier]), references.load("s1")["relative_error"])
@@ -67,8 +70,7 @@ def test_homogeneous_block(device, tier):
     assert force[1:4] == pytest.approx(S1_CURVE[1:4], rel=0.08)
 
 
-@pytest.mark.parametrize("tier", ["fem-coarse", pytest.param("fem", marks=pytest.mark.slow),
-                                  pytest.param("fem-fine", marks=pytest.mark.slow)])
+@every_tier
 def test_block_with_a_stiff_inclusion(device, tier):
     force = run("indent", tier, device, frames=4)
     allowed = np.maximum(2.0 * np.array(S2_ERRORS[tier]), references.load("s2")["relative_error"])

@@ -29,7 +29,7 @@ def dataset(write_dataset):
     """Four mock objects, the first two in two views."""
     views = [mock_view(i, split="train", touches=12) for i in range(4)]
     views += [dataclasses.replace(v, name=v.name.replace("v0", "v1"), view_index=1) for v in views[:2]]
-    return write_dataset(views, SCENE)
+    return write_dataset(views, scene_text=SCENE)
 
 
 def learned(training, dataset, task):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from types import SimpleNamespace as Of
 
 import numpy as np
 import pytest
@@ -18,23 +18,6 @@ from vsfsim.generate.plants.subject import outline
 from vsfsim.generate.resim import named_job
 
 
-@dataclasses.dataclass
-class Plan:
-    """A touch as a task asks for it."""
-
-    q: np.ndarray
-    axis: np.ndarray
-
-
-@dataclasses.dataclass
-class Read:
-    """A touch that was made, and its joint torques."""
-
-    action: Plan
-    value: np.ndarray
-    valid: np.ndarray
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Two small plants of one kind, touched six times each."""
@@ -47,10 +30,9 @@ def made(tmp_path_factory):
 
 
 def asked(view):
-    """Plans and readings of the touches of a view."""
-    plans = [Plan(touch.planned_q, touch.axis) for touch in view.touches]
-    return plans, [Read(Plan(touch.q, touch.axis), np.asarray(touch.torque), touch.converged)
-                   for touch in view.touches]
+    """Plans of the touches of a view, as a task asks for them, and readings of joint torques."""
+    return [Of(q=t.planned_q, axis=t.axis) for t in view.touches], [
+        Of(action=Of(q=t.q, axis=t.axis), value=np.asarray(t.torque), valid=t.converged) for t in view.touches]
 
 
 def error(found, view):

@@ -6,11 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-import warp as wp
 from stems import crossing, plant, stem, touch
-
-from vsfsim.physics.rods.kernels import segment
-from vsfsim.physics.rods.model import build
 
 LENGTH, RADIUS, E = 0.3, 0.004, 2e9
 EI = E * np.pi * RADIUS**4 / 4.0
@@ -36,45 +32,6 @@ def pushed(body, travel, device, **options):
 
 def there_and_back(far: float, steps: int) -> np.ndarray:
     return np.concatenate([np.linspace(0.0, far, steps + 1), np.linspace(far, 0.0, steps + 1)[1:]])
-
-
-def test_moment_and_tangent_are_the_derivatives_of_the_energy():
-    """Elastic, yielding and yielding back, with a plastic bending left from before; central differences."""
-    model = build(wired(2, moment=0.05))
-    kw, moment = model.wire[1]
-    left = np.array([0.0, 0.02, -0.01])
-    rng, step = np.random.default_rng(0), 1e-6
-    for size in (0.5, 0.999, 1.001, 2.0, 10.0):
-        for _ in range(4):
-            way = rng.normal(size=2)
-            phi = left + np.concatenate([[0.3], size * moment / kw * way / np.linalg.norm(way)])
-            at = [phi, *(phi + sign * step * axis for axis in np.eye(3) for sign in (1.0, -1.0))]
-            energy, mu, tangent = law(model, left, np.array(at))
-            slope = (energy[1::2] - energy[2::2]) / (2.0 * step)
-            assert mu[0] == pytest.approx(slope, rel=1e-6, abs=1e-7)
-            assert tangent[0] == pytest.approx((mu[1::2] - mu[2::2]).T / (2.0 * step), rel=1e-5, abs=1e-5)
-            core = np.linalg.norm(mu[0, 1:] - (model.kphi[1, 1:] - kw) * phi[1:])
-            assert core == pytest.approx(min(size, 1.0) * moment, rel=1e-9)
-
-
-@wp.kernel(enable_backward=False)
-def _law(kphi: wp.vec3d, wire: wp.vec2d, plastic: wp.vec3d, phi: wp.array(dtype=wp.vec3d),
-         energy_out: wp.array(dtype=wp.float64), moment_out: wp.array(dtype=wp.vec3d),
-         tangent_out: wp.array(dtype=wp.mat33d)):
-    k = wp.tid()
-    s = segment.Strain()
-    s.phi = phi[k]
-    energy_out[k] = segment.energy(s, wp.vec3d(), kphi, wire, plastic)
-    moment_out[k] = segment.moment(s, kphi, wire, plastic)
-    tangent_out[k] = segment.moment_tangent(s, kphi, wire, plastic)
-
-
-def law(model, plastic, phi):
-    n = len(phi)
-    out = tuple(wp.zeros(n, dtype=kind, device="cpu") for kind in (wp.float64, wp.vec3d, wp.mat33d))
-    wp.launch(_law, dim=n, inputs=[wp.vec3d(*model.kphi[1]), wp.vec2d(*model.wire[1]), wp.vec3d(*plastic),
-                                   wp.array(phi, dtype=wp.vec3d, device="cpu")], outputs=list(out), device="cpu")
-    return tuple(a.numpy() for a in out)
 
 
 def test_a_hinge_at_the_foot_holds_its_plastic_moment_whatever_the_direction(device):
