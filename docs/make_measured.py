@@ -161,16 +161,22 @@ RESULTS = {one.__name__: one for one in (charts, boards, studies, claims, audits
 """Tables of all tasks or studies, by the name of the file."""
 
 
-def measurement(name: str, tables: int, **settings: Any) -> str:
-    """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes."""
+def measurement(name: str, **settings: Any) -> str:
+    """The tables of `vsfsim measure NAME`."""
     found = importlib.import_module(f"measurements.{MODULES.get(name, name)}").measure(progress=print, **settings)
-    return with_notes(found, name, settings.get("tier"), found.tables[:tables])
+    return written(found, name, settings.get("tier"))
 
 
-def with_notes(found: Any, name: str, tier: str | None, tables: list) -> str:
-    """Tables of `vsfsim measure NAME`, at one ``tier`` or at all, with the machine, the day and the notes."""
-    text = written(found, name + (f" --tier {tier}" if tier else ""), f"{found.machine}, {found.date}.", tables)
-    return text + "\n" * bool(found.notes) + "".join(f"- {note[0].upper()}{note[1:]}.\n" for note in found.notes)
+def written(found: Any, name: str, tier: str | None) -> str:
+    """The tables of `vsfsim measure NAME`, at one ``tier`` or at all, with the machine, the day and the notes."""
+    parts = [f"<!-- vsfsim measure {name}{f' --tier {tier}' if tier else ''}: version {found.version}, commit "
+             f"{found.commit} -->\n{found.machine}, {found.date}.\n"]
+    for table in (table for table in found.tables if table.rows):
+        rows = [[column.cell(row) for column in table.columns] for row in table.rows]
+        parts.append(f"{table.title[0].upper()}{table.title[1:]}:\n\n"
+                     + piped([column.title() for column in table.columns], rows))
+    return "\n".join(parts) + "\n" * bool(found.notes) + "".join(
+        f"- {note[0].upper()}{note[1:]}.\n" for note in found.notes)
 
 
 def recorded(name: str, files: list[Path]) -> str:
@@ -181,17 +187,7 @@ def recorded(name: str, files: list[Path]) -> str:
     module = importlib.import_module(f"measurements.{MODULES.get(name, name)}")
     found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
-    return with_notes(dataclasses.replace(found, **of), name, records[0]["settings"].get("tier"), list(found.tables))
-
-
-def written(found: Any, words: str, about: str, tables: list) -> str:
-    """Tables of a measurement below the command that prints them and a sentence ``about`` them."""
-    parts = [f"<!-- vsfsim measure {words}: version {found.version}, commit {found.commit} -->\n{about}\n"]
-    for table in (table for table in tables if table.rows):
-        rows = [[column.cell(row) for column in table.columns] for row in table.rows]
-        parts.append(f"{table.title[0].upper()}{table.title[1:]}:\n\n"
-                     + piped([column.title() for column in table.columns], rows))
-    return "\n".join(parts)
+    return written(dataclasses.replace(found, **of), name, records[0]["settings"].get("tier"))
 
 
 def tradeoff(scene: str, **options: Any) -> str:
@@ -226,10 +222,10 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
 
 MEASURED: dict[str, partial[str]] = {
     **{name: partial(make) for name, make in RESULTS.items()},
-    "solver": partial(measurement, "solver", 2),
+    "solver": partial(measurement, "solver"),
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
-    "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
+    "peers": partial(measurement, "peers", tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None)}
 """Table by name of its file."""
 SHOWN = ("#", "method", "area", "0-shot", "5-shot")

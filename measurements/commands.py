@@ -10,7 +10,7 @@ import typer
 
 from vsfsim.cli.console import Progress, report, step
 from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Several, Workers, command
-from vsfsim.core.errors import TaskError, VsfsimError, one_of
+from vsfsim.core.errors import TaskError, one_of
 
 app = typer.Typer(rich_markup_mode=None)
 Number = Annotated[int, typer.Option(min=0)]
@@ -168,15 +168,10 @@ def stability(out: Path = Path("stability"), budget: float | None = None,
         one_of(key, [c.key for c in cells], "--cell")
     if cell:
         cells = [c for c in cells if c.key in cell]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
-        with Progress("stability") as progress:
-            verdicts = judge.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
-                                    budget=budget, progress=progress, circumstances=circumstances)
-    except OSError as error:
-        raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
-                          f"folder.") from None
+    circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
+    with Progress("stability") as progress:
+        verdicts = judge.run(cells, out / "cells.jsonl", circumstances, workers=workers or 2, budget=budget,
+                             progress=progress)
     verdicts = results.scaled(verdicts)
     settings = {"seed": seed, "limit": limit, "kind": kind, "cells_of_the_design": len(cells),
                 "device": device}

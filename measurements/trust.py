@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 import references
@@ -73,9 +74,7 @@ def ask(seed: int, number: int, known: Sequence[Any]) -> Ask:
 
 def cell_of(row: Any) -> Cell:
     """The press of a row of `references/presses.json`."""
-    given = row["press"]
-    return Cell(**{**given, "body": tuple(given["body"]), "probe": tuple(given["probe"]),
-                   "parts": tuple(map(tuple, given["parts"]))})
+    return msgspec.convert(row["press"], Cell)
 
 
 def judge(one: Ask, *, limit: float) -> list[dict[str, Any]]:

@@ -67,7 +67,7 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 """The same for one file, which nothing imports at its top: a class that inherits from one of the package's."""
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "jinja2"},
-                "data": {"matplotlib", "fsspec", "pyarrow", "PIL", "jinja2"}, "generate": {"yaml", "matio"},
+                "data": {"matplotlib", "fsspec", "pyarrow", "PIL", "jinja2", "scipy"}, "generate": {"yaml", "matio"},
                 "sensing": {"matplotlib"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`."""
 

@@ -27,19 +27,11 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'vsfsim' has no attribute '{name}'")
-    if name == "load":
-        from vsfsim.data.dataset import load as found
-    elif name == "evaluate":
-        from vsfsim.bench.evaluate import evaluate as found
-    elif name == "methods":
-        from vsfsim.bench.commands.catalogue import methods as found
-    elif name == "press":
-        import vsfsim.press as found
-    elif name == "generate":
-        import vsfsim.generate as found
-    else:
-        import vsfsim.tasks as found
-    return found
+    from pkgutil import resolve_name
+
+    # the others are packages that can be called
+    return resolve_name({"load": "vsfsim.data.dataset:load", "evaluate": "vsfsim.bench.evaluate:evaluate",
+                         "methods": "vsfsim.bench.commands.catalogue:methods"}.get(name, f"vsfsim.{name}"))
 
 
 def __dir__() -> list[str]:

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from vsfsim.core.plant import Plant
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Capsule, ProbeShape
+from vsfsim.generate.boundary import deformed_surface
 from vsfsim.generate.effector import effector_of
+from vsfsim.generate.effectors import bubble
 from vsfsim.generate.press_result import PressResult
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.physics.rods.model import build
@@ -100,50 +103,40 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
         cell = dataclasses.replace(cell, factors={**cell.factors, "frames": frames * float(cell.factors["frames"])})
     if tier is not None:
         cell = dataclasses.replace(cell, factors={**cell.factors, "tier": tier})
-    return _solid(cell, *solid_scene(cell, folder), folder, limit, device)
+    return _solid(cell, *solid_scene(cell, folder), limit, device)
 
 
-def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float, device: str) -> Evidence:
-    from vsfsim.generate.boundary import deformed_surface
-
-    request = Request(tier=tier, device=device, limit=limit)
+def _solid(cell: Cell, loaded: SceneFile, tier: str, limit: float, device: str) -> Evidence:
     scene = loaded.sample(0)
-    result = effector_of(scene).press(loaded, request)
+    result = effector_of(scene).press(loaded, Request(tier=tier, device=device, limit=limit))
     arrays = {name: value for name, (value, _) in result.arrays.items()}
     none = np.zeros(0)  # the checks need nodes and triangles only
     mesh = QuadraticMesh(arrays["points"], arrays["tets"], none, none, arrays["faces"], none)
-    surface = [deformed_surface(mesh, u)[:2] for u in arrays["displacement"]]
     free = not any(float(cell.factors.get(name, 0.0)) for name in ("friction", "gravity"))
-    return Evidence(
-        result.depth, result.force[:, 2], result.force, result.audit["force_balance"], result.audit["energy"],
-        result.audit["penetration"], result.converged, _resolved(result), result.reason,
-        result.more["seconds"], len(result.depth), free, float(result.more["edge"]),
-        heavy=float(cell.factors.get("gravity", 0.0)) > 0.0, surface=surface, poses=arrays["poses"],
-        shapes=tuple(scene.bodies), mesh=mesh, moved=arrays["displacement"],
-        large=tier in ("fem-coarse", "fem", "fem-fine"))
+    return _of(result, energy=result.audit["energy"], straight=len(result.depth), conservative=free,
+               heavy=float(cell.factors.get("gravity", 0.0)) > 0.0,
+               surface=[deformed_surface(mesh, u)[:2] for u in arrays["displacement"]], poses=arrays["poses"],
+               shapes=tuple(scene.bodies), mesh=mesh, moved=arrays["displacement"],
+               large=tier in ("fem-coarse", "fem", "fem-fine"))
 
 
 def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
-    from vsfsim.generate.boundary import deformed_surface
-    from vsfsim.generate.effectors.bubble import result_of, solve
-
     request = Request(device=device, limit=limit)
-    made = solve(loaded.sample(0), request)
-    solved, result = made.solved, result_of(made, request)
-    surface, membrane = [], []
+    made = bubble.solve(loaded.sample(0), request)
+    solved, result, surface, membrane = made.solved, bubble.result_of(made, request), [], []
     if solved.object is not None and solved.moved is not None:
         surface = [deformed_surface(solved.object.mesh, u[..., 0])[:2] for u in solved.moved]
         membrane = [(x[..., 0], solved.sensor.mesh.faces) for x in solved.position]
-    return Evidence(
-        result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
-        np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged, _resolved(result),
-        result.reason, result.more["seconds"], solved.scene.press.frames[0], False,
-        float(result.more["edge"]),
-        surface=surface, membrane=membrane)
+    return _of(result, energy=np.full(len(result.depth), np.nan), straight=solved.scene.press.frames[0],
+               conservative=False, surface=surface, membrane=membrane)
 
 
-def _resolved(result: PressResult) -> np.ndarray:
-    return result.converged if result.resolved is None else result.converged & result.resolved
+def _of(result: PressResult, **more: Any) -> Evidence:
+    good, held = result.converged, result.resolved
+    return Evidence(result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
+                    penetration=result.audit["penetration"], converged=good,
+                    resolved=good if held is None else good & held, reasons=result.reason,
+                    seconds=result.more["seconds"], edge=float(result.more["edge"]), **more)
 
 
 def _rod(cell: Cell, device: str) -> Evidence:

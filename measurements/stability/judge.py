@@ -8,7 +8,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from functools import partial
@@ -136,9 +136,8 @@ def second_press(cell: Cell, e: Evidence, folder: Path, limit: float, device: st
     return []
 
 
-def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device: str = "cpu",
-        budget: float | None = None, circumstances: dict[str, Any] | None = None,
-        progress: Callable[[int, int, str], None] | None = None) -> list[Verdict]:
+def run(cells: Sequence[Cell], file: Path, circumstances: Mapping[str, Any], *, workers: int,
+        budget: float | None = None, progress: Callable[[int, int, str], None]) -> list[Verdict]:
     """Judge cells, and append each verdict to ``file`` as soon as it is there.
 
     A process that ends by itself or works longer than all its frames may is ended, and its cell counts as crashed or as
@@ -147,11 +146,9 @@ def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device
     Args:
         cells: in the order in which they are made.
         file: see `Kept`.
-        limit: limit of a frame's processor time [s].
+        circumstances: see `Kept`; ``limit`` of a frame's processor time [s] and Warp ``device`` among them.
         workers: processes.
-        device: Warp device.
         budget: time after which no new cell begins [s]; None for none.
-        circumstances: see `Kept`; limit and device are added.
         progress: called with (done, in all, what).
 
     Returns:
@@ -160,18 +157,17 @@ def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device
     Raises:
         VsfsimError: see `Kept`.
     """
-    lines = Kept(file, {"limit": limit, "device": device, **(circumstances or {})})
+    lines, limit = Kept(file, circumstances), circumstances["limit"]
     done = {key: typed(row, Verdict, str(file), also=("key",), error=VsfsimError) for key, row in lines.rows.items()}
     waiting = [c for c in cells if c.key not in done]
-    for cell, found in answers(waiting, partial(_work, limit=limit, device=device), workers=workers,
-                               most=FRAMES * LATE * limit + SPARE, budget=budget):
+    for cell, found in answers(waiting, partial(_work, limit=limit, device=circumstances["device"]),
+                               workers=workers, most=FRAMES * LATE * limit + SPARE, budget=budget):
         if isinstance(found, Ended):
             outcome = Outcome.LATE if found.late else Outcome.CRASHED
             found = Verdict(cell, outcome, (found.words,), seconds=found.seconds)
         lines.add(found.table())
         done[cell.key] = found
-        if progress is not None:
-            progress(sum(c.key in done for c in cells), len(cells), "cells")
+        progress(sum(c.key in done for c in cells), len(cells), "cells")
     return [done[c.key] for c in cells if c.key in done]
 
 

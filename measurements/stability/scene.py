@@ -79,39 +79,21 @@ def solid_gravity(factors: Mapping[str, float | str]) -> float:
 def _probe(name: str, width: float, high: float, folder: Path) -> tuple[str, float, str]:
     """Tables of the probe, height of its origin when it touches the block's top [m], and keys of [press]."""
     r = PROBE_SIZE * width
-    small = 0.2 * r
-    edge = 1.5 * r
-    match name:
-        case "ball":
-            shape, above, turn = f"sphere = {r!r}", r, [0.0, 0.0, 0.0]
-        case "small ball":
-            shape, above, turn = f"sphere = {small!r}", small, [0.0, 0.0, 0.0]
-        case "box":
-            shape, above, turn = f"box = [{edge!r}, {edge!r}, {edge!r}]", 0.5 * edge, [0.0, 0.0, 0.0]
-        case "box edge":
-            shape, above, turn = f"box = [{edge!r}, {edge!r}, {edge!r}]", np.sqrt(0.5) * edge, [_TURN, 0.0, 0.0]
-        case "box corner":
-            shape, above, turn = f"box = [{edge!r}, {edge!r}, {edge!r}]", np.sqrt(0.75) * edge, _CORNER
-        case "cylinder":
-            shape, above, turn = f"cylinder = [{r!r}, {edge!r}]", 0.5 * edge, [0.0, 0.0, 0.0]
-        case "cylinder rim":
-            shape, turn = f"cylinder = [{r!r}, {2 * r!r}]", [_TURN, 0.0, 0.0]
-            above = np.sqrt(0.5) * (r + r)
-        case "capsule":
-            shape, above, turn = f"capsule = [{0.5 * r!r}, {2 * r!r}]", 0.5 * r, [2 * _TURN, 0.0, 0.0]
-        case "capsule end":
-            shape, above, turn = f"capsule = [{0.5 * r!r}, {2 * r!r}]", 1.5 * r, [0.0, 0.0, 0.0]
-        case "plane":
-            shape, above, turn = "plane = true", 0.0, [4 * _TURN, 0.0, 0.0]
-        case "fork":
-            shape, above, turn = f"sphere = {r!r}", r, [0.0, 0.0, 0.0]
-        case "ball and wall":
-            shape, above, turn = f"sphere = {r!r}", r, [0.0, 0.0, 0.0]
-        case "pyramid":
-            write_pyramid(folder / "pyramid.obj", edge)
-            shape, above, turn = 'mesh = "pyramid.obj"', 0.5 * edge, [0.0, 0.0, 0.0]
-        case _:
-            raise AssertionError(name)
+    small, edge, straight = 0.2 * r, 1.5 * r, [0.0, 0.0, 0.0]
+    ball, cube = f"sphere = {r!r}", f"box = [{edge!r}, {edge!r}, {edge!r}]"
+    capsule = f"capsule = [{0.5 * r!r}, {2 * r!r}]"
+    shape, above, turn = {
+        "ball": (ball, r, straight), "fork": (ball, r, straight), "ball and wall": (ball, r, straight),
+        "small ball": (f"sphere = {small!r}", small, straight),
+        "box": (cube, 0.5 * edge, straight), "box edge": (cube, np.sqrt(0.5) * edge, [_TURN, 0.0, 0.0]),
+        "box corner": (cube, np.sqrt(0.75) * edge, _CORNER),
+        "cylinder": (f"cylinder = [{r!r}, {edge!r}]", 0.5 * edge, straight),
+        "cylinder rim": (f"cylinder = [{r!r}, {2 * r!r}]", np.sqrt(0.5) * (r + r), [_TURN, 0.0, 0.0]),
+        "capsule": (capsule, 0.5 * r, [2 * _TURN, 0.0, 0.0]), "capsule end": (capsule, 1.5 * r, straight),
+        "plane": ("plane = true", 0.0, [4 * _TURN, 0.0, 0.0]),
+        "pyramid": ('mesh = "pyramid.obj"', 0.5 * edge, straight)}[name]
+    if name == "pyramid":
+        write_pyramid(folder / "pyramid.obj", edge)
     tables = f"[probe]\nshape = {{ {shape} }}\n"
     if name == "fork":  # a thin pin in front of the ball
         tables += f"[[probe.parts]]\nshape = {{ sphere = {small!r} }}\noffset = [{r!r}, {r!r}, {small - r!r}]\n"

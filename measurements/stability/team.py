@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing as mp
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
+from queue import Queue
 from typing import Any
 
 from vsfsim.core.system.engines import one_thread
+
+_STARTS = threading.Lock()
+"""Of processes, whose environment is that of this one."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,7 @@ class Late(BaseException):
     """A block took more processor time than it may; no `except Exception` of the block catches it."""
 
 
-@contextmanager
+@contextlib.contextmanager
 def processor_time(seconds: float) -> Iterator[None]:
     """Raise `Late` in the block once it has taken so much processor time; only in the main thread of a process."""
     def late(*_: object) -> None:
@@ -44,81 +49,61 @@ def processor_time(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-@dataclass
-class _Worker:
-    process: mp.process.BaseProcess
-    pipe: Connection
-    job: Any = None
-    since: float = 0.0
-
-
 def answers(jobs: Sequence[Any], work: Callable[[Any], Any], *, workers: int, most: float,
             budget: float | None = None) -> Iterator[tuple[Any, Any]]:
     """Each job with what ``work`` makes of it, or an `Ended`, as they are done.
 
     Args:
-        jobs: none of them None; in the order in which they begin.
+        jobs: in the order in which they begin.
         work: a function of a module, since processes are spawned.
         workers: processes.
         most: wall time after which a job is ended [s].
         budget: time after which no job begins [s]; None for none.
     """
-    began, waiting = time.perf_counter(), list(jobs)[::-1]
-    team = [_start(work) for _ in range(min(workers, len(waiting)))]
+    until = time.perf_counter() + (float("inf") if budget is None else budget)
+    # an iterator of a list gives each job to one thread
+    waiting, done, working = iter(list(jobs)), Queue[tuple[Any, Any] | None](), min(workers, len(jobs))
+    for _ in range(working):
+        threading.Thread(target=_lane, args=(waiting, done, work, most, until), daemon=True).start()
     try:
-        while True:
-            over = budget is not None and time.perf_counter() - began > budget
-            for worker in team:
-                if worker.job is None and waiting and not over:
-                    worker.job, worker.since = waiting.pop(), time.perf_counter()
-                    worker.pipe.send(worker.job)
-            busy = [w for w in team if w.job is not None]
-            if not busy:
-                return
-            ready = wait([w.pipe for w in busy], timeout=1.0)
-            for k, worker in enumerate(team):
-                found = None if worker.job is None else _answer(worker, worker.pipe in ready, most)
-                if found is None:
-                    continue
-                job, worker.job = worker.job, None
-                if not worker.process.is_alive():
-                    team[k] = _start(work)
-                yield job, found
+        while working:
+            if (found := done.get()) is None:
+                working -= 1
+            else:
+                yield found
     finally:
-        for worker in team:
-            worker.process.kill()
+        list(waiting)  # so that the threads end
 
 
-def _start(work: Callable[[Any], Any]) -> _Worker:
-    context = mp.get_context("spawn")
-    mine, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-    with one_thread():  # and the processor time of a job is not that of threads which wait for one another
-        process.start()
-    theirs.close()
-    return _Worker(process, mine)
-
-
-def _answer(worker: _Worker, ready: bool, most: float) -> Any:
-    """Of a worker that has an answer, or that had to be ended; else None."""
-    spent = time.perf_counter() - worker.since
-    if ready:
+def _lane(waiting: Iterator[Any], done: Queue[Any], work: Callable[[Any], Any], most: float, until: float) -> None:
+    """In a thread: one job after another in a process, a new one where the last one ended."""
+    context, process = mp.get_context("spawn"), None
+    for job in waiting:
+        if time.perf_counter() > until:
+            break
+        if process is None:
+            pipe, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+            with _STARTS, one_thread():  # and the processor time of a job is not that of threads that wait
+                process.start()
+            theirs.close()
+        began = time.perf_counter()
         try:
-            return worker.pipe.recv()
+            pipe.send(job)
+            found = pipe.recv() if pipe.poll(most) else Ended(True, f"no answer within {most:.0f} s", most)
         except (EOFError, OSError):
-            worker.process.join()
-            return Ended(False, f"the process ended with code {worker.process.exitcode}", spent)
-    if spent > most:
-        worker.process.kill()
-        worker.process.join()
-        return Ended(True, f"no answer within {spent:.0f} s", spent)
-    return None
+            process.join()
+            found = Ended(False, f"the process ended with code {process.exitcode}", time.perf_counter() - began)
+        if isinstance(found, Ended):
+            process.kill()
+            process = None
+        done.put((job, found))
+    if process is not None:
+        process.kill()
+    done.put(None)
 
 
 def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
-    while True:
-        try:
-            job = pipe.recv()
-        except EOFError:
-            return
-        pipe.send(work(job))
+    with contextlib.suppress(EOFError):
+        while True:
+            pipe.send(work(pipe.recv()))

@@ -19,7 +19,7 @@ from vsfsim.data.disk import Store
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate import workers
-from vsfsim.generate.effector import find_effector
+from vsfsim.generate.effector import effector_of
 from vsfsim.generate.run import generate, make, planned
 
 
@@ -73,7 +73,7 @@ def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path,
 
 
 def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made, tmp_path, here, monkeypatch):
-    probe = find_effector("probe")
+    probe = effector_of(scene.sample(0))
     calls, real = [], type(probe).make_view
 
     def make_view(self, job, **options):

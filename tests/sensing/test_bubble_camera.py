@@ -32,9 +32,9 @@ def test_it_stands_where_the_notes_say():
 
 def test_depth_lies_on_the_triangles(device):
     points, triangles, flat = dome()
-    view = look_inside(points[None], triangles, flat, SMALL, device=device)
-    depth = view.depth[0].astype(float)
-    assert view.rgb.shape == (1, 120, 160, 3) and view.rgb.dtype == np.uint8
+    depth, rgb = look_inside(points[None], triangles, flat, SMALL, device=device)
+    depth = depth[0].astype(float)
+    assert rgb.shape == (1, 120, 160, 3) and rgb.dtype == np.uint8
     assert (depth > 0).mean() > 0.7  # the dome fills most of the picture
     row, column = np.nonzero(depth)
     ray = np.linalg.solve(SMALL.intrinsics, np.stack([column, row, np.ones_like(row)]).astype(float)).T
@@ -58,8 +58,8 @@ def test_the_pattern_rides_on_the_skin(device):
     camera = BubbleCamera(width=160, height=120, focal=160.0, tilt=0.0, offset=0.0)
     shift = 0.00675  # 20 pixels at 54 mm
     still = points * [1.0, 1.0, 0.0]
-    view = look_inside(np.stack([still, still + [shift, 0.0, 0.0]]), triangles, flat, camera, device=device)
-    green = view.rgb[..., 1].astype(float)
+    _, rgb = look_inside(np.stack([still, still + [shift, 0.0, 0.0]]), triangles, flat, camera, device=device)
+    green = rgb[..., 1].astype(float)
     pixels = round(160.0 * shift / 0.054)
     before, here = green[:, 20:100, 30:130].reshape(2, -1)
     there = green[1, 20:100, 30 + pixels:130 + pixels].ravel()

@@ -14,8 +14,7 @@ def wrench(points, force):
 
 def flat(rings):
     points, triangles = disc(1.0, rings)
-    held = np.arange(len(points)) >= len(points) - 6 * rings
-    return FlatMesh(points * [0.05725, 0.040], triangles, held)
+    return FlatMesh(points * [0.05725, 0.040], triangles)
 
 
 def dome(points):
@@ -41,7 +40,7 @@ def test_net_force_and_moment_are_kept(fine, coarse, where):
     if where == "one node":
         force[:, np.arange(len(fine.points)) != 400] = 0.0
     if where == "rim":
-        force[:, ~fine.rim] = 0.0
+        force[:, :-6 * 17] = 0.0
     readout = BubbleReadout(fine, coarse)
     moved = readout.forces(points, force)
     nodes = readout.positions(points)
@@ -64,14 +63,14 @@ def model():
 def test_the_real_sensor_is_read_on_its_390_nodes(model):
     from vsfsim.sensing.bubble import readout_of
 
-    readout = readout_of(model)
-    assert (len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714
-            and readout.readout.rim.sum() == 64)
+    readout, inner = readout_of(model), np.ones(390, bool)
+    inner[model.read_out.rim] = False
+    assert len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714 and inner.sum() == 390 - 64
     nodes = readout.positions(model.mesh.points[None])[0]
-    assert np.abs(nodes[readout.readout.rim, 2]).max() < 1e-12  # the rim is planar
+    assert np.abs(nodes[~inner, 2]).max() < 1e-12  # the rim is planar
     # linear functions of the material are interpolated exactly, but outside the coarser rim
     off = readout.positions(np.pad(model.flat, ((0, 0), (0, 1)))[None])[0, :, :2] - readout.readout.points
-    assert np.abs(off[~readout.readout.rim]).max() < 1e-12
+    assert np.abs(off[inner]).max() < 1e-12
     # and a force on any node keeps its moment
     force = np.zeros((1, len(model.mesh.points), 3))
     force[0, ::7] = np.random.default_rng(0).standard_normal((len(force[0, ::7]), 3))

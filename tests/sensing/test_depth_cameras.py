@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from texts import scene
 
-from vsfsim.core.scene_tables.object import DEPTH_CAMERAS
+from vsfsim.core.scene_tables.object import DEPTH_CAMERAS, CameraSpec
 from vsfsim.data.records import View
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
-from vsfsim.sensing.camera import with_depth_errors
+from vsfsim.sensing.camera import seen_by
 
 PATH = Path("seen.toml")
 
@@ -26,7 +26,7 @@ def wall(depth: float) -> View:
     ("azure-kinect", 2.0, 1.2e-3), ("l515", 1.0, 2.5e-3), ("l515", 9.0, 15.5e-3)])
 def test_noise_grows_with_depth_as_the_sources_say(name: str, depth: float, std: float) -> None:
     camera = DEPTH_CAMERAS[name]
-    seen = with_depth_errors(wall(depth), camera, 3)
+    seen = seen_by(wall(depth), CameraSpec(model=name), 3)
     # of the 7000 pixels a standard deviation is known within a per cent; the quantum adds its own
     found = seen.depth[seen.mask].std()
     assert found == pytest.approx(np.hypot(std, camera.quantum / np.sqrt(12.0)), rel=0.04)
@@ -38,7 +38,7 @@ def test_noise_grows_with_depth_as_the_sources_say(name: str, depth: float, std:
 def test_pixels_are_lost_at_edges_only_and_the_seed_decides() -> None:
     camera = DEPTH_CAMERAS["l515"]
     flat = wall(0.8)
-    one, two, other = (with_depth_errors(flat, camera, seed) for seed in (1, 1, 2))
+    one, two, other = (seen_by(flat, CameraSpec(model="l515"), seed) for seed in (1, 1, 2))
     assert np.array_equal(one.depth, two.depth) and not np.array_equal(one.depth, other.depth)
     lost = flat.mask & ~one.mask
     assert not lost[11:-11, 11:-11].any() and lost.sum() == pytest.approx(camera.lost * 356, rel=0.3)

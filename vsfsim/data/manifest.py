@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -232,12 +231,9 @@ def observed(options: Mapping[str, Any], errors: Sequence[float]) -> dict[str, A
 def least_share(kept: int, audits: int) -> float:
     """Least share of touches [-] of which ``kept`` of ``audits`` or more are kept with a probability of `RISK`: the
     exact one-sided bound of Clopper and Pearson 1934, Biometrika 26, 404."""
-    low, high = 0.0, 1.0
-    for _ in range(40):
-        p = 0.5 * (low + high)
-        tail = sum(math.comb(audits, k) * p**k * (1.0 - p) ** (audits - k) for k in range(kept, audits + 1))
-        low, high = (p, high) if tail < RISK else (low, p)
-    return low
+    from scipy.special import betaincinv  # takes a tenth of a second
+
+    return float(betaincinv(kept, audits - kept + 1, RISK)) if kept else 0.0
 
 
 def verdict(found: Mapping[str, Any]) -> tuple[str, bool]:

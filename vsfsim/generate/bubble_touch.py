@@ -245,7 +245,7 @@ class Solved:
 
 
 def solve(scene: Scene, model: Model | None, sensor: BubbleModel, aims: Sequence[Aim], *, options: SolverOptions,
-          device: str, progress: Callable[[int], None] | None = None) -> Iterator[Solved]:
+          device: str, progress: Callable[[int], None] = lambda _: None) -> Iterator[Solved]:
     """Solve touches, `BATCH` at a time at most.
 
     Args:
@@ -262,7 +262,7 @@ def solve(scene: Scene, model: Model | None, sensor: BubbleModel, aims: Sequence
         mount = np.stack([mount_path(scene.required_touches, a) if a.path is None else a.path for a in part], axis=1)
         first = starts(scene, part, mount[0])
         width = len(part)
-        tell = None if progress is None else lambda _, k=width: progress(k)  # type: ignore[misc]
+        tell = lambda _, k=width: progress(k)  # noqa: E731
         if model is None:
             yield _on_obstacles(scene, sensor, part, mount, first, options, device, tell)
             continue
@@ -276,14 +276,13 @@ def solve(scene: Scene, model: Model | None, sensor: BubbleModel, aims: Sequence
 
 def _on_obstacles(scene: Scene, sensor: BubbleModel, aims: Sequence[Aim], mount: np.ndarray,
                   first: np.ndarray, options: SolverOptions, device: str,
-                  progress: Callable[[int], None] | None) -> Solved:
+                  progress: Callable[[int], None]) -> Solved:
     solver, gas = Solver(sensor, scene.bodies, friction=scene.frictions, device=device, options=options), []
 
     def done(frames: int) -> None:
         assert solver.elasticity.pressure is not None and solver.elasticity.volume is not None  # of a body with gas
         gas.append((solver.elasticity.pressure.numpy().copy(), solver.elasticity.volume.numpy().copy()))
-        if progress is not None:
-            progress(frames)
+        progress(frames)
 
     frames = solver.run(in_mount(scene, mount[:, 0])[:, None], start=in_mount(scene, first), keep=True, progress=done)
     turn, at = mount[:, 0, :3, :3], mount[:, 0, None, :3, 3]

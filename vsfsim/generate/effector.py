@@ -138,17 +138,12 @@ class Effector(Protocol):
 
 
 def effector_of(scene: Scene) -> Effector:
-    """The effector that a scene asks for."""
-    return find_effector(scene.effector)
-
-
-def find_effector(name: str) -> Effector:
-    """The effector called ``name``.
+    """The effector that a scene asks for.
 
     Raises:
         SceneError: there is none.
     """
-    one_of(name, effectors(), "the effector", SceneError)
+    name = one_of(scene.effector, effectors(), "the effector", SceneError)
     for entry in importlib.metadata.entry_points(group=EFFECTOR_GROUP, name=name):
         return loaded(entry, "the effector", SceneError)
     return importlib.import_module(f"vsfsim.generate.effectors.{name}").EFFECTOR

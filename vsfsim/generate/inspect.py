@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 """(what is done, of how many, and what is next)."""
+_MOST = 24  # object views of a contact sheet
 
 
 def inspect(what: str, out: Path | None, *, seed: int, device: str,
@@ -78,14 +79,13 @@ def draw_view(data: Dataset, shown: ObjectView) -> Drawing:
 
 
 def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[str], dict[str, Any]]:
-    from vsfsim.data.contact_sheet import contact_sheet
     from vsfsim.data.dataset import Dataset
     from vsfsim.data.verify import summary_rows
 
     data = Dataset.open(folder, progress=progress)
-    path, views = out or Path(f"{folder.resolve().name}.png"), list(data[:24])
-    contact_sheet(views, path, title=f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}")
-    more = f" (the first {len(views)} of {len(data)} object views)" if len(views) < len(data) else ""
+    path = out or Path(f"{folder.resolve().name}.png")
+    data.plot(path, most=_MOST)
+    more = f" (the first {_MOST} of {len(data)} object views)" if len(data) > _MOST else ""
     rows = summary_rows(folder, progress)
     return ([*(f"{key:<16}{value}" for key, value in rows), f"contact sheet{more}: {path}"],
             {**{key.strip(): value for key, value in rows}, "picture": str(path)})

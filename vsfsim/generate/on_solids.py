@@ -77,36 +77,12 @@ class OnSolids(abc.ABC):
         else:
             touches = self.touch(subject, aims, device=device)
         probe, each, friction = self.shapes(subject, aims)
-        finer = () if promise is None else [subject.again(job.recipe.tier, {"resolution": edge / RATIO**k}).model
+        finer = () if promise is None else [subject.again(Setting(job.recipe.tier, edge / RATIO**k)).model
                                             for k in range(1, MESHES)]
         truth = truth_of(subject.model, subject.view, touches, each, friction=friction, device=device, finer=finer)
         return ObjectView(job.name, job.object_index, job.view_index, job.split, probe,
                           subject.recorded, tuple(touches), truth,
                           tuple(press.probe for press in subject.scene.presses[1:]))
-
-    def near(self, subject: Subject, a: Aim, tier: str, options: Mapping[str, Any]) -> Subject:
-        """The object at a tier, with small elements where a touch meets it.
-
-        Args:
-            subject: the object.
-            a: the touch.
-            tier: of the model.
-            options: of the recipe, see `Job.scene`; the resolution is that of the elements elsewhere, ``contact`` the
-                level of those where it touches, see `LOCAL`.
-
-        Raises:
-            SceneError, MeshError: it cannot be built.
-        """
-        scene, options = subject.scene, {**subject.job.recipe.options, **options}
-        radius, size = self.contact_edge(scene, a, options["contact"])
-        own = tiers.element_size(dataclasses.replace(scene.required_object, resolution=None), tier, scene.probe)
-        # what `tiers.body` makes of the half-width of an edge
-        share = tiers.TIERS[tier].probe * min(1.0, options.get("resolution", own) / own)
-        side = np.cross(a.axis, np.eye(3)[np.abs(a.axis).argmin()])
-        side /= np.linalg.norm(side)
-        at = a.target + size * _disc(radius / size) @ np.stack([side, np.cross(a.axis, side)])
-        ends = np.stack([at - 2.0 * radius * a.axis, at + 2.0 * radius * a.axis])
-        return subject.again(tier, options, edges=EdgePath(ends, np.full(len(at), size / share)))
 
     def contact_edge(self, scene: Scene, a: Aim, level: float) -> tuple[float, float]:
         """Radius of the disc that a touch will meet, sqrt(r d) of a ball of radius r that is pressed d deep (Hertz),
@@ -115,9 +91,23 @@ class OnSolids(abc.ABC):
         return radius, LOCAL * radius / RATIO**level
 
     def on(self, subject: Subject, a: Aim, setting: Setting) -> Subject:
-        """The object under a setting, where it has a level as `near` for this touch; errors as there."""
-        return (subject.again(setting.tier, setting.options()) if setting.level is None
-                else self.near(subject, a, setting.tier, setting.options()))
+        """The object under a setting; where that has a level, with small elements where a touch meets it.
+
+        Raises:
+            SceneError, MeshError: it cannot be built.
+        """
+        if setting.level is None:
+            return subject.again(setting)
+        scene, tier = subject.scene, setting.tier
+        radius, size = self.contact_edge(scene, a, setting.level)
+        own = tiers.element_size(dataclasses.replace(scene.required_object, resolution=None), tier, scene.probe)
+        # what `tiers.body` makes of the half-width of an edge
+        share = tiers.TIERS[tier].probe * min(1.0, setting.resolution / own)
+        side = np.cross(a.axis, np.eye(3)[np.abs(a.axis).argmin()])
+        side /= np.linalg.norm(side)
+        at = a.target + size * _disc(radius / size) @ np.stack([side, np.cross(a.axis, side)])
+        ends = np.stack([at - 2.0 * radius * a.axis, at + 2.0 * radius * a.axis])
+        return subject.again(setting, edges=EdgePath(ends, np.full(len(at), size / share)))
 
     def touched(self, subject: Subject, aims: Sequence[Aim], setting: Setting, *, device: str) -> list[Touch]:
         """The touches of a subject under a setting, each on a mesh of its own where that has a level."""

@@ -264,10 +264,8 @@ def as_text(columns: Sequence[Column], marks: Sequence[str]) -> str:
                       list(zip(*(c.cells() for c in columns), strict=True)), right=True, rule=False)
 
 
-def frames_done(progress: Callable[[int, int, str], None] | None, total: int) -> Callable[[int], None] | None:
+def frames_done(progress: Callable[[int, int, str], None], total: int) -> Callable[[int], None]:
     """From frames newly done to (frames done, in all, what)."""
-    if progress is None:
-        return None
     done = [0]
 
     def tell(new: int) -> None:

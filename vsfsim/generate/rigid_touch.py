@@ -28,8 +28,8 @@ BATCH = {"cpu": 16, "cuda": 64}
 
 
 def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device: str,
-          options: SolverOptions, keep: bool = False, progress: Callable[[int], None]
-          | None = None,) -> Iterator[tuple[Solver, Frames, list[Touch]]]:
+          options: SolverOptions, keep: bool = False,
+          progress: Callable[[int], None] = lambda _: None) -> Iterator[tuple[Solver, Frames, list[Touch]]]:
     """Solve touches, `BATCH` at a time at most; yields the solver, the frames and the records of each batch.
 
     Args:
@@ -55,7 +55,7 @@ def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device:
         placed = np.stack([body_poses(scene, real[:, k]) for k in range(width)], axis=1)
         frames = solver.run(placed, start=body_poses(scene, starts(scene, part, poses[0])), keep=keep,
                             mount=None if spring is None else Mount(spring, np.stack([a.axis for a in part])),
-                            progress=None if progress is None else lambda _, k=width: progress(k))  # type: ignore[misc]
+                            progress=lambda _, k=width: progress(k))  # type: ignore[misc]
         # obstacles do not belong to the probe
         force = frames.force - frames.body_force[:, :, bodies:].sum(axis=2) if scene.obstacles else frames.force
         yield solver, frames, [_record(a, poses[:, k], force[:, k], frames, k, solver, spring)

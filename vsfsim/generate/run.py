@@ -110,7 +110,7 @@ def make(plan: Plan) -> Made:
         VsfsimError: as `generate`.
     """
     loaded, asked, recipe, folder = plan.loaded, plan.request, plan.recipe, plan.folder
-    shard, note = asked.fan.shard, asked.note or (lambda _: None)
+    shard, note = asked.fan.shard, asked.note
     if asked.fan.ray and isinstance(folder, Path):
         folder = folder.resolve()  # tasks have working folders of their own
     if asked.accuracy is not None:
@@ -127,8 +127,7 @@ def make(plan: Plan) -> Made:
             note(sentence)
         if mine:
             for done, name in enumerate(_on_ray(mine, asked) if asked.fan.ray else _here(mine, asked), start=1):
-                if asked.progress is not None:
-                    asked.progress(done, len(mine), name)
+                asked.progress(done, len(mine), name)
         if shard is not None:
             there = finished_names(writer.store)
             failed = poisoned(writer.store) if "poison" in asked.allow else {}
@@ -141,8 +140,7 @@ def make(plan: Plan) -> Made:
 def _here(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
     scene = jobs[0].scene()
     compile_kernels(kernels_of(scene, jobs[0].recipe.tier), asked.device, progress=asked.progress)
-    if asked.progress is not None:
-        asked.progress(0, len(jobs), jobs[0].name)
+    asked.progress(0, len(jobs), jobs[0].name)
     yield from effector_of(scene).make_all(jobs, device=asked.device, workers=asked.workers)
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from vsfsim.data.records import View
 from vsfsim.data.streams import Stream
 from vsfsim.generate.effects import check_body
 from vsfsim.generate.job import Job
+from vsfsim.generate.trade.setting import Setting
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.model import Model
@@ -42,18 +41,18 @@ class Subject:
         """The random stream that touch number ``touch`` is aimed with."""
         return np.random.default_rng(self.job.stream(Stream.AIM, touch))
 
-    def again(self, tier: str, options: Mapping[str, Any], *, edges: EdgePath | None = None) -> Subject:
-        """The same object under the same picture, modelled at another tier and with other options of the recipe (see
-        `Job.scene`), with small elements along ``edges`` (see `edge_refine`).
+    def again(self, setting: Setting, *, edges: EdgePath | None = None) -> Subject:
+        """The same object under the same picture, modelled under a setting (see `Job.scene`), with small elements along
+        ``edges`` (see `edge_refine`).
 
         Raises:
             SceneError, MeshError: it cannot be built.
         """
         old = self.job.recipe
-        recipe = dataclasses.replace(old, tier=tier, options={**old.options, **options})
+        recipe = dataclasses.replace(old, tier=setting.tier, options={**old.options, **setting.table()})
         job = dataclasses.replace(self.job, recipe=recipe)
         scene = job.scene()
-        model = tiers.build(scene, tier, seed=job.stream(Stream.BODY), edges=edges)
+        model = tiers.build(scene, setting.tier, seed=job.stream(Stream.BODY), edges=edges)
         return dataclasses.replace(self, job=job, scene=scene, model=model)
 
     def limits(self) -> SolverOptions:

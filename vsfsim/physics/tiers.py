@@ -41,17 +41,15 @@ class Tier:
     """Element size of a procedural family [m]."""
     tolerance: float
     """Of the equilibrium, see `SolverOptions` [-]."""
-    local_indentation: bool = False
-    """See `SolverOptions`."""
     indentation_by_place: bool = False
     """See `SolverOptions`. Off where datasets have been released: their bits would change."""
 
 
 TIERS: dict[str, Tier] = {
-    "linear": Tier(False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
-    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
-    "fem": Tier(True, 1 / 13, 1 / 3, 0.014, 5e-4, local_indentation=True, indentation_by_place=True),
-    "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4, local_indentation=True, indentation_by_place=True),
+    "linear": Tier(False, 1 / 8, 1 / 2, 0.017, 1e-4),
+    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.017, 1e-3),
+    "fem": Tier(True, 1 / 13, 1 / 3, 0.014, 5e-4, indentation_by_place=True),
+    "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4, indentation_by_place=True),
 }
 THIN_CELLS = 1500
 """Most cells of a thin body: a sheet of 0.3 x 0.2 x 0.001 m would need two layers of 60,000 cubes, and has 47 cells
@@ -160,7 +158,7 @@ def thin_limit(size: np.ndarray) -> float:
 def options(tier: str) -> SolverOptions:
     """Solver limits of a tier."""
     own = TIERS[tier]
-    return SolverOptions(tolerance=own.tolerance, local_indentation=own.local_indentation,
+    return SolverOptions(tolerance=own.tolerance, local_indentation=True,
                          indentation_by_place=own.indentation_by_place)
 
 

@@ -92,7 +92,7 @@ class Press:
 
         return figures.picture(self.result, self.scene, path, device=self.device)
 
-    def gif(self, path: str | Path, *, progress: Callable[[int, int, str], None] | None = None) -> None:
+    def gif(self, path: str | Path, *, progress: Callable[[int, int, str], None] = lambda *_: None) -> None:
         """Write the pictures of all frames as a GIF that repeats.
 
         Raises:
@@ -150,16 +150,10 @@ def press(scene: str | Path | SceneFile, request: Request | None = None, *,
     effector = effector_of(loaded.sample(asked.seed))
     if refine is None:
         return Press(loaded.name, (effector.press(loaded, asked),), asked.device)
-    results = tuple(effector.press(mesh, _of_mesh(asked, k, refine))
-                    for k, mesh in enumerate(effector.finer(loaded, asked, refine)))
+    results = tuple(effector.press(mesh, asked.but(progress=lambda done, total, what, number=number: asked.progress(
+        done, total, f"{what} of mesh {number} of {refine}")))
+                    for number, mesh in enumerate(effector.finer(loaded, asked, refine), start=1))
     return Press(loaded.name, results, asked.device, extrapolate(results, str(loaded.path)))
-
-
-def _of_mesh(request: Request, mesh: int, meshes: int) -> Request:
-    """The same press on one mesh of several, which the progress tells."""
-    if (tell := request.progress) is None:
-        return request
-    return request.but(progress=lambda done, total, what: tell(done, total, f"{what} of mesh {mesh + 1} of {meshes}"))
 
 
 def extrapolate(results: Sequence[PressResult], source: str) -> dict[str, Convergence]:

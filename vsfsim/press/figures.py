@@ -50,7 +50,7 @@ def plot(result: PressResult, title: str, path: str | Path | None = None) -> Fig
 
 
 def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu",
-              progress: Callable[[int, int, str], None] | None = None) -> None:
+              progress: Callable[[int, int, str], None] = lambda *_: None) -> None:
     """Write the pictures of all frames as a GIF that repeats, 0.2 s each and 1.2 s at full depth, 256 colours a frame.
 
     Args:
@@ -64,8 +64,7 @@ def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu
         VsfsimError: the file cannot be written.
     """
     def frame(t: int) -> Figure:
-        if progress is not None:
-            progress(t, count, "pictures")
+        progress(t, count, "pictures")
         return picture(result, title, frame=t, device=device)
 
     count = len(result.depth)

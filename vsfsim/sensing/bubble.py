@@ -7,17 +7,11 @@ triangle of the other by its material coordinates: those of the flat ellipse bef
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from scipy import sparse
 
-from vsfsim.physics.mesh.membrane import TriangleMesh
+from vsfsim.physics.bubble.sensor import BubbleModel, containing, interpolation
 
-if TYPE_CHECKING:
-    from vsfsim.physics.bubble.sensor import BubbleModel
-
-_CHUNK = 2_000_000  # pairs of point and triangle tested together
 _SLACK = 1e-9  # a barycentric weight below this size is treated as zero: the point lies on an edge
 
 
@@ -29,8 +23,6 @@ class FlatMesh:
     """Material coordinates (n, 2) [m]."""
     triangles: np.ndarray
     """Node indices, counter-clockwise (m, 3)."""
-    rim: np.ndarray
-    """True at the clamped nodes (n,)."""
 
 
 def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -42,27 +34,12 @@ def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Nodes of the triangles (k, 3), and barycentric weights of the points in them (k, 3).
     """
-    corner = mesh.points[mesh.triangles]
-    inverse = np.linalg.inv(np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2))
-    rows, step = [], max(1, _CHUNK // len(corner))
-    for start in range(0, len(points), step):
-        part = points[start:start + step]
-        two = np.einsum("mij,kmj->kmi", inverse, part[:, None] - corner[None, :, 0])
-        weight = np.concatenate([1.0 - two.sum(axis=2, keepdims=True), two], axis=2)
-        best = weight.min(axis=2).argmax(axis=1)
-        rows.append((best, weight[np.arange(len(part)), best]))
-    triangle, weight = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
+    triangle, weight = containing(mesh.points, mesh.triangles, points)
     for k in np.flatnonzero(weight.min(axis=1) < -_SLACK):
-        weight[k] = _nearest(points[k], corner[triangle[k]])
+        weight[k] = _nearest(points[k], mesh.points[mesh.triangles[triangle[k]]])
     weight = np.where(np.abs(weight) < _SLACK, 0.0, weight)
     weight /= weight.sum(axis=1, keepdims=True)
     return mesh.triangles[triangle], weight
-
-
-def weights(nodes: np.ndarray, weight: np.ndarray, count: int) -> sparse.csr_matrix:
-    """The result of `locate` as a matrix (k, count): it interpolates values, and its transpose distributes forces."""
-    return sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(nodes)), 3), nodes.ravel())),
-                             shape=(len(nodes), count))
 
 
 def _nearest(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
@@ -89,8 +66,8 @@ class BubbleReadout:
     def __init__(self, solver: FlatMesh, readout: FlatMesh):
         self.solver, self.readout = solver, readout
         self._corners, share = locate(solver.points, readout)
-        self._up = weights(self._corners, share, len(readout.points))
-        self._down = weights(*locate(readout.points, solver), len(solver.points))
+        self._up = interpolation(self._corners, share, len(readout.points))
+        self._down = interpolation(*locate(readout.points, solver), len(solver.points))
         self._same = (np.array_equal(solver.points, readout.points)
                       and np.array_equal(solver.triangles, readout.triangles))
 
@@ -127,10 +104,5 @@ class BubbleReadout:
 
 def readout_of(model: BubbleModel) -> BubbleReadout:
     """The read-out of a bubble from `vsfsim.physics.bubble.sensor.build_bubble` on the published mesh of 390 nodes."""
-    def flat(points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> FlatMesh:
-        held = np.zeros(len(points), bool)
-        held[rim] = True
-        return FlatMesh(points, np.asarray(faces, np.int64), held)
-
-    mesh, published = cast(TriangleMesh, model.mesh), model.read_out
-    return BubbleReadout(flat(model.flat, mesh.faces, mesh.rim), flat(published.flat, published.faces, published.rim))
+    return BubbleReadout(*(FlatMesh(flat, np.asarray(faces, np.int64)) for flat, faces in (
+        (model.flat, model.mesh.faces), (model.read_out.flat, model.read_out.faces))))

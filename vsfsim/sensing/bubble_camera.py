@@ -56,19 +56,10 @@ class BubbleCamera:
         return out
 
 
-@dataclass(frozen=True)
-class InsideView:
-    """T pictures from inside."""
-
-    depth: np.ndarray
-    """Along the optical axis, 0 where no skin is visible (T, H, W) float32 [m]."""
-    rgb: np.ndarray
-    """sRGB (T, H, W, 3) uint8."""
-
-
 def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray, camera: BubbleCamera, *,
-                device: str = "cpu") -> InsideView:
-    """Depth and colour of the skin in T frames.
+                device: str = "cpu") -> tuple[np.ndarray, np.ndarray]:
+    """Depth along the optical axis, 0 where no skin is visible (T, H, W) float32 [m], and colour, sRGB (T, H, W, 3)
+    uint8, of the skin in T frames.
 
     Args:
         points: node positions, mount frame (T, n, 3) [m].
@@ -80,4 +71,4 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
     printed = np.pad(material, ((0, 0), (0, 1)))
     seen = [render(Surface(x, triangles, np.zeros(len(triangles), np.int64), _LOOK, printed), camera.intrinsics,
                    camera.pose, camera.width, camera.height, device=device) for x in points]
-    return InsideView(np.stack([view.depth for view in seen]), np.stack([view.rgb for view in seen]))
+    return np.stack([view.depth for view in seen]), np.stack([view.rgb for view in seen])

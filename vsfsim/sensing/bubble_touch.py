@@ -61,6 +61,6 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
         out["inside_rgb"] = np.zeros((frames, camera.height, camera.width, 3), np.uint8)
         if good.any():
             local = np.einsum("tni,tij->tnj", position[good] - mount_pose[good, None, :3, 3], mount_pose[good, :3, :3])
-            inside = look_inside(local, model.mesh.faces, model.flat, camera, device=device)
-            out["inside_depth"][good], out["inside_rgb"][good] = inside.depth, inside.rgb
+            out["inside_depth"][good], out["inside_rgb"][good] = look_inside(local, model.mesh.faces, model.flat,
+                                                                             camera, device=device)
     return out

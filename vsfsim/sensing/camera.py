@@ -3,10 +3,9 @@
 The centre of pixel (column i, row j) is at (i, j). A point at camera coordinates (x, y, z), OpenCV axes, projects to
 (fx x / z + cx, fy y / z + cy). Depth is z, not the length of the ray.
 
-`seen_by` adds the depth errors of real cameras. `with_depth_errors` takes those of a `DepthCamera`: noise of each
-pixel that grows with depth, an error common to the picture, steps of the stored depth, and lost pixels at depth edges.
-`kinect_depth` is the noise of the released plants: the noise grows with distance, depth is quantised to whole
-millimetres, and pixels along depth edges are lost.
+`seen_by` adds the depth errors of real cameras, of a `DepthCamera`: noise of each pixel that grows with depth, an error
+common to the picture, steps of the stored depth, and lost pixels at depth edges. The noise "kinect" is that of the
+released plants: it grows with distance, depth is quantised to whole millimetres, and pixels along depth edges are lost.
 
     z' = 1 mm * round((z + N(0, s(z))) / 1 mm),   s(z) = 0.5 mm + 0.9 mm (z / 1 m)^2
 
@@ -115,18 +114,6 @@ LOST = 0.35  # share of the edge pixels without a depth [-]
 QUANTUM = 0.001  # of the stored depth [m]
 
 
-def kinect_depth(view: View, seed: np.random.SeedSequence | int) -> View:
-    """The view with noisy ``depth`` and without the lost pixels in ``mask``; colours are unchanged."""
-    z = view.depth.astype(np.float64)
-    return _with_errors(view, 0.0005 + 0.0009 * z**2, LOST, QUANTUM, 0.0, seed)
-
-
-def with_depth_errors(view: View, camera: DepthCamera, seed: np.random.SeedSequence | int) -> View:
-    """The view with the errors of ``camera`` in ``depth`` and without the lost pixels in ``mask``."""
-    std = depth_std(camera, view.depth.astype(np.float64))
-    return _with_errors(view, std, camera.lost, camera.quantum, camera.bias, seed)
-
-
 def _with_errors(view: View, std: np.ndarray, lost: float, quantum: float, bias: float,
                  seed: np.random.SeedSequence | int) -> View:
     rng = np.random.default_rng(seed)
@@ -145,10 +132,12 @@ def depth_std(camera: DepthCamera, depth: np.ndarray) -> np.ndarray:
 
 
 def seen_by(view: View, spec: CameraSpec, seed: np.random.SeedSequence | int) -> View:
-    """What the camera ``spec`` records of an exact view; the view itself for an ideal camera."""
+    """What the camera ``spec`` records of an exact view, its colours unchanged; the view itself for an ideal camera."""
+    z = view.depth.astype(np.float64)
     if spec.model:
-        return with_depth_errors(view, DEPTH_CAMERAS[spec.model], seed)
-    return kinect_depth(view, seed) if spec.noise == "kinect" else view
+        camera = DEPTH_CAMERAS[spec.model]
+        return _with_errors(view, depth_std(camera, z), camera.lost, camera.quantum, camera.bias, seed)
+    return _with_errors(view, 0.0005 + 0.0009 * z**2, LOST, QUANTUM, 0.0, seed) if spec.noise == "kinect" else view
 
 
 def _edges(view: View) -> np.ndarray:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
-         progress: Callable[[int, int, str], None] | None = None) -> tuple[list[str], dict[str, Any]]:
+         progress: Callable[[int, int, str], None] = lambda *_: None) -> tuple[list[str], dict[str, Any]]:
     """Write the page of a dataset folder, of a scene or of a result.
 
     Args:
@@ -48,8 +48,7 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
         title = f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}"
         shown = []
         for one in data[:objects]:
-            if progress is not None:
-                progress(len(shown), min(len(data), objects), "object views")
+            progress(len(shown), min(len(data), objects), "object views")
             shown.append(of_view(data, one))
         more = f" (of {len(data)}; --objects shows more)" if len(shown) < len(data) else ""
         words = f"{len(shown)} object views{more}"

@@ -18,8 +18,8 @@ from vsfsim.view.subject import of_view, of_visible, picture_table, touch_table
 _FLOOR = 1e-2  # an estimate is shown down to this share of the smallest true stiffness of its object
 
 
-def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None]
-              | None = None) -> tuple[str, str, list[dict[str, Any]], dict]:
+def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None] = lambda *_: None
+              ) -> tuple[str, str, list[dict[str, Any]], dict]:
     """The objects of a result file, the first ``objects`` of them.
 
     Returns:
@@ -37,8 +37,7 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
     shown = []
     for number, name in enumerate(names[:objects]):
         shown.append(_object(name, dataset, maps.get(name)))
-        if progress is not None:
-            progress(number + 1, min(len(names), objects), "object views")
+        progress(number + 1, min(len(names), objects), "object views")
     told = "true and estimated stiffness" if maps else "no estimate of the stiffness"
     about: dict[str, Any] = {"map": ["stiffness under a small cone", "N/m"]} if maps else {}
     return (f"{result.method} on {result.task}",

@@ -7,8 +7,6 @@ Lengths are metres in the world frame, forces newtons, pressures pascals. Coordi
 from __future__ import annotations
 
 import base64
-import struct
-import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from scipy.spatial import cKDTree
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import ProbeShape, Sphere
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.formats.export import png
 from vsfsim.data.records import ObjectView, Touch, View
 from vsfsim.generate.inspect import draw_view
 from vsfsim.sensing.cut import Elements, facing
@@ -145,19 +144,8 @@ def picture_table(view: View) -> dict[str, Any]:
 
 
 def png_uri(image: np.ndarray) -> str:
-    """An image as the address of a PNG that it holds itself.
-
-    Args:
-        image: sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8.
-    """
-    height, width, bands = image.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
-    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 2: 4}[bands], 0, 0, 0)
-    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
-    content = b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks)
-    return "data:image/png;base64," + base64.b64encode(content).decode()
+    """An image as the address of a PNG that it holds itself; sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8."""
+    return "data:image/png;base64," + base64.b64encode(png(image)).decode()
 
 
 def base64_of(array: np.ndarray) -> str:

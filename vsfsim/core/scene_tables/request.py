@@ -21,7 +21,7 @@ class Request:
     """Fidelity, from the cheapest: linear, fem-coarse, fem, fem-fine; default: the scene's."""
     device: str = "cpu"
     """Warp device: cpu or cuda:0."""
-    progress: Callable[[int, int, str], None] | None = None
+    progress: Callable[[int, int, str], None] = lambda *_: None
     """Called with (done, in all, what)."""
     limit: float | None = None
     """Of a press: processor time of a frame [s]; one that takes more is marked. Default: the tier's own, 120, and 1,500
@@ -46,7 +46,7 @@ class Request:
     a view that fails twice, which is left out while the others are made (exit code 4)."""
     fan: Fan = HERE
     """Where the views are made, and which of them by this call."""
-    note: Callable[[str], None] | None = None
+    note: Callable[[str], None] = lambda _: None
     """Called with sentences for the user."""
 
     def but(self, **options: Any) -> Request:

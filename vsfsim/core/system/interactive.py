@@ -8,30 +8,31 @@ made callable (Python reference 3.3.2.1, customizing module attribute access).
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 from io import BytesIO
+from pkgutil import resolve_name
 from types import ModuleType
 from typing import Any
 
 
-def make_callable(package: str, function: Callable[[], Callable[..., Any]]) -> None:
-    """Let calls of a package run a function of it.
+def make_callable(package: str, function: str) -> None:
+    """Let calls of a package run a function.
 
     Args:
         package: ``__name__`` of the package.
-        function: returns the function; it is called at the first use, because the function's module is slow to import.
+        function: as module:name; it is imported at the first use, because that is slow.
     """
     class Package(ModuleType):
         def __call__(self, *arguments: Any, **options: Any) -> Any:
-            return function()(*arguments, **options)
+            return resolve_name(function)(*arguments, **options)
 
         @property
         def __signature__(self) -> Any:
             """For `help` and for notebooks."""
             import inspect
 
-            return inspect.signature(function())
+            return inspect.signature(resolve_name(function))
 
     sys.modules[package].__class__ = Package
 

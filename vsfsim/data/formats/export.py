@@ -61,7 +61,7 @@ def arrow() -> Any:
 
 
 def png(image: np.ndarray) -> bytes:
-    """A picture (H, W, 3) uint8 as PNG.
+    """A picture as PNG: sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8.
 
     Raises:
         MissingPackage: Pillow is not installed.

@@ -324,7 +324,7 @@ def _panels(s: Solved, t: int, full: int, device: str) -> tuple[Panel, ...]:
     mesh, (position, push) = s.sensor.mesh, s.in_mount()
     inward, most = (1e3 * inward_distance(s.sensor, position[k]) for k in (t, full))
     colours = Colours("RdBu_r", min(float(most.min()), -1e-6), max(float(most.max()), 1e-6))
-    inside = look_inside(position[t:t + 1], mesh.faces, s.sensor.flat, BubbleCamera(), device=device).rgb[0]
+    _, (inside,) = look_inside(position[t:t + 1], mesh.faces, s.sensor.flat, BubbleCamera(), device=device)
     return (outside(s, t, inward[mesh.faces].mean(axis=1), colours),
             MapPanel(1e3 * mesh.points[:, :2], mesh.faces, inward,
                      np.nan_to_num(np.linalg.norm(push[t], axis=1)),

@@ -46,7 +46,7 @@ def _jittered(subjects: Sequence[Subject], *, device: str) -> RodFrames | None:
                   for one, plant in zip(subjects, plants, strict=True)], device=device)
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None,
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] = lambda _: None,
           keep_nodes: bool = False) -> RodFrames:
     """The equilibria of the touches of views of one scene, view after view.
 

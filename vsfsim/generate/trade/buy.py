@@ -73,7 +73,7 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     Raises:
         SceneError: no factor keeps it, with the figure; or the scene's touches cannot be made again.
     """
-    asked, said = request.accuracy, request.note or (lambda sentence: None)
+    asked, said = request.accuracy, request.note
     assert asked is not None
     if (there := _begun(folder, asked)) is not None:
         return there
@@ -84,8 +84,7 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
         if len(tried) == 1:
             said(f"--accuracy {100 * asked:g} %: a pilot of {PILOT} touches of different objects, about "
                  f"{PILOT * sum(touch.seconds):.0f} s of processor time")
-        if request.progress is not None:
-            request.progress(len(tried), PILOT, "touches of the pilot")
+        request.progress(len(tried), PILOT, "touches of the pilot")
     factor = bound([least_factor(touch.differences, touch.errors[1:], asked) for touch in tried])
     last = [touch.errors[-1] for touch in tried]
     if math.isinf(factor):

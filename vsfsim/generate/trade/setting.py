@@ -54,12 +54,8 @@ class Setting:
         return ", ".join(words)
 
     def table(self) -> dict[str, Any]:
-        """For JSON; what is None is left out."""
+        """For JSON, and for the options of a recipe; what is None is left out."""
         return {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
-
-    def options(self) -> dict[str, Any]:
-        """What a recipe says of it besides the tier, see `vsfsim.generate.job.Job.scene`."""
-        return {{"level": "contact"}.get(name, name): value for name, value in self.table().items() if name != "tier"}
 
     def steps(self) -> list[Setting]:
         """Of a scene whose own elements and nodes these are, see `STEPS`."""

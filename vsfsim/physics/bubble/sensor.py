@@ -168,29 +168,34 @@ def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
     ``known`` dome on another mesh; where that does not converge, or without one, by following the branch."""
     own = sheet(spec, *mesh)
     if known is not None:
-        guess = (locate(*known[:2], mesh[0]) @ known[2]).ravel() * own.free
+        triangle, weights = containing(*known[:2], mesh[0])
+        weights[np.abs(weights) < 1e-12] = 0.0
+        guess = (interpolation(known[1][triangle], weights, len(known[0])) @ known[2]).ravel() * own.free
         found = own.balanced(guess, spec.gauge_pressure, iterations=20)
         if found is not None:
             return found.displacement.reshape(-1, 3)
     return inflate(own, _dome(spec, mesh[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
 
 
-def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix:
-    """Interpolation (k, n) from nodes ``flat`` (n, 2) [m] of a plane mesh to points ``at`` (k, 2) [m]; outside of the
-    mesh, extrapolation from the nearest triangle."""
+def containing(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The triangle of a plane mesh with nodes ``flat`` (n, 2) [m] that holds each of some points ``at`` (k, 2) [m], or
+    for one outside the one whose smallest weight is largest: its number (k,), and the barycentric weights (k, 3)."""
     from scipy.spatial import cKDTree
 
     corners = flat[faces]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-    _, near = cKDTree(corners.mean(axis=1)).query(at, k=min(24, len(faces)))
+    near = np.sort(cKDTree(corners.mean(axis=1)).query(at, k=min(24, len(faces)))[1], axis=1)
     share = np.einsum("kcij,kcj->kci", inverse[near], at[:, None] - corners[near][:, :, 0])
     weights = np.concatenate([1.0 - share.sum(axis=2, keepdims=True), share], axis=2)
-    best = weights.min(axis=2).argmax(axis=1)
-    rows = np.arange(len(at))
-    weights = weights[rows, best]
-    weights[np.abs(weights) < 1e-12] = 0.0
-    return sp.csr_matrix((weights.ravel(), (np.repeat(rows, 3), faces[near[rows, best]].ravel())),
-                         shape=(len(at), len(flat)))
+    rows, best = np.arange(len(at)), weights.min(axis=2).argmax(axis=1)
+    return near[rows, best], weights[rows, best]
+
+
+def interpolation(nodes: np.ndarray, weights: np.ndarray, count: int) -> sp.csr_matrix:
+    """Matrix (k, count) that interpolates values with ``weights`` (k, 3) of ``nodes`` (k, 3); its transpose distributes
+    forces."""
+    return sp.csr_matrix((weights.ravel(), (np.repeat(np.arange(len(nodes)), 3), nodes.ravel())),
+                         shape=(len(nodes), count))
 
 
 @functools.lru_cache(maxsize=8)

@@ -114,7 +114,7 @@ class RodSolver:
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0,
             plan: np.ndarray | None = None, keep_nodes: bool = False,
-            progress: Callable[[int], None] | None = None) -> RodFrames:
+            progress: Callable[[int], None] = lambda _: None) -> RodFrames:
         """Carry out touches.
 
         Args:
@@ -157,8 +157,7 @@ class RodSolver:
                 at = work.progress.numpy()
                 live = np.flatnonzero((at["next"] < t) & (at["ended"] == 0))
                 live = live[np.argsort(at["next"][live], kind="stable")]
-                if progress is not None:
-                    progress(int(at["next"].sum()) - before)
+                progress(int(at["next"].sum()) - before)
                 before = int(at["next"].sum())
         return self._frames(plant, at["next"] - at["ended"], out, keep_nodes)
 
