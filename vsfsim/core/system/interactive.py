@@ -7,6 +7,7 @@ made callable (Python reference 3.3.2.1, customizing module attribute access).
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Sequence
 from html import escape
@@ -27,12 +28,8 @@ def make_callable(package: str, function: str) -> None:
         def __call__(self, *arguments: Any, **options: Any) -> Any:
             return resolve_name(function)(*arguments, **options)
 
-        @property
-        def __signature__(self) -> Any:
-            """For `help` and for notebooks."""
-            import inspect
-
-            return inspect.signature(resolve_name(function))
+        # for `help` and for notebooks
+        __signature__ = property(lambda _: inspect.signature(resolve_name(function)))
 
     sys.modules[package].__class__ = Package
 

@@ -154,14 +154,6 @@ def _free(nodes: int, rim: np.ndarray) -> np.ndarray:
     return free.ravel()
 
 
-def _dome(spec: Bubble, flat: np.ndarray) -> np.ndarray:
-    """Displacements to a shallow dome (3 n,) [m], where the inflation begins."""
-    a, b = spec.semi_axes
-    u = np.zeros((len(flat), 3))
-    u[:, 2] = _SHALLOW * b * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)
-    return u.ravel()
-
-
 def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
               known: tuple[np.ndarray, np.ndarray, np.ndarray] | None, where: str) -> np.ndarray:
     """Displacements (n, 3) [m] from a flat mesh to the free dome, from the nodes, triangles and displacements of a
@@ -174,7 +166,9 @@ def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
         found = own.balanced(guess, spec.gauge_pressure, iterations=20)
         if found is not None:
             return found.displacement.reshape(-1, 3)
-    return inflate(own, _dome(spec, mesh[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
+    (a, b), begin = spec.semi_axes, np.zeros((len(mesh[0]), 3))
+    begin[:, 2] = _SHALLOW * b * (1.0 - (mesh[0][:, 0] / a) ** 2 - (mesh[0][:, 1] / b) ** 2)  # of a shallow dome
+    return inflate(own, begin.ravel(), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
 
 
 def containing(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
