@@ -37,10 +37,6 @@ class Column:
     form: str = ""
     """Format specification of the printed number."""
 
-    def is_text(self) -> bool:
-        """Whether it holds text instead of numbers."""
-        return not self.unit and not self.form
-
     def title(self) -> str:
         """Heading and unit."""
         unit = self.printed or self.unit
@@ -73,9 +69,10 @@ class Table:
 
     def text(self) -> str:
         """For a terminal."""
+        words = takewhile(lambda c: not c.unit and not c.form, self.columns)
         return f"{self.title}:\n" + text_table([c.title() for c in self.columns],
                                                [[c.cell(row) for c in self.columns] for row in self.rows],
-                                               right=True, left=len(list(takewhile(Column.is_text, self.columns))))
+                                               right=True, left=len(list(words)))
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ SAMPLES = 20_000  # points on a rigid body, at most
 
 def contradictions(e: Evidence) -> list[str]:
     """All sentences of all checks of one press."""
-    return [sentence for check in (_finite, _balanced, _monotone, _work, _geometry, _pair, _volume, _jump)
+    return [sentence for check in (_balanced, _monotone, _work, _geometry, _pair, _volume, _jump)
             for sentence in check(e)]
 
 
@@ -47,15 +47,11 @@ def compare(e: Evidence, other: Evidence, allowed: float, what: str) -> list[str
     return [f"last frame: the push is {a:.4g} N, and {b:.4g} N {what}"]
 
 
-def _finite(e: Evidence) -> Iterator[str]:
+def _balanced(e: Evidence) -> Iterator[str]:
     for t in np.flatnonzero(e.converged):
         if not (np.isfinite(e.force[t]).all() and np.isfinite(e.balance[t])):
             yield f"frame {t + 1}: a number is not finite"
-
-
-def _balanced(e: Evidence) -> Iterator[str]:
-    for t in np.flatnonzero(e.converged):
-        if e.balance[t] > BALANCE:
+        elif e.balance[t] > BALANCE:
             yield f"frame {t + 1}: {100 * e.balance[t]:.2g} % of the force is unbalanced"
 
 

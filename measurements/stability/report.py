@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from measurements.measurement import Column, Measurement, Table
-from measurements.stability.design import KINDS, Cell
+from measurements.stability.design import KINDS
 from measurements.stability.judge import BAD, Outcome, Verdict
 
 SIMILAR = 1e-3  # relative difference of a force that the scaling of units forbids (float64)
@@ -26,7 +26,8 @@ def scaled(verdicts: Sequence[Verdict]) -> list[Verdict]:
         return list(verdicts)
     out = []
     for v in verdicts:
-        f, changed = v.cell.factors, _changed(v.cell)
+        f = v.cell.factors
+        changed = {one.name for one in KINDS[v.cell.kind] if f[one.name] != one.default}
         if (v.outcome is Outcome.CONVERGED and v.cell.kind == "solid" and changed and changed <= {"young", "size"}):
             factor = (float(f["young"]) / float(base.cell.factors["young"])
                       * (float(f["size"]) / float(base.cell.factors["size"])) ** 2)
@@ -38,12 +39,8 @@ def scaled(verdicts: Sequence[Verdict]) -> list[Verdict]:
     return out
 
 
-def _changed(cell: Cell) -> set[str]:
-    return {f.name for f in KINDS[cell.kind] if cell.factors[f.name] != f.default}
-
-
-def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any], notes: Sequence[str] = ()) -> Measurement:
-    """Shares of the outcomes, and every cell that is not converged, with notes on how they were made."""
+def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any]) -> Measurement:
+    """Shares of the outcomes, and every cell that is not converged."""
     rows = [_shares("all cells", verdicts),
             _shares("friction <= 1, depth <= 50 %", [v for v in verdicts if v.cell.moderate]),
             *(_shares(kind, [v for v in verdicts if v.cell.kind == kind]) for kind in KINDS)]
@@ -71,7 +68,7 @@ def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any], notes: Se
                           notes=[
         "a cell is converged if all its frames are and its mesh resolves them, not resolved if it does not resolve "
         "one, marked if one did not converge; it is wrong in silence if a frame that is called converged contradicts "
-        "a check of measurements/stability/checks.py", *notes])
+        "a check of measurements/stability/checks.py"])
 
 
 def _shares(name: str, verdicts: Sequence[Verdict]) -> dict[str, Any]:

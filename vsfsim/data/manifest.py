@@ -82,7 +82,8 @@ def entry_of(view: ObjectView, content: bytes, made_on: str) -> Entry:
     return Entry(view.name, file_name(view.name), view.split, view.object_index, view.view_index, len(view.touches),
                  sum(len(touch.time) for touch in view.touches),
                  sum(int((~touch.converged).sum()) for touch in view.touches), len(content),
-                 hashlib.sha256(content).hexdigest(), made_on, audit_errors(view))
+                 hashlib.sha256(content).hexdigest(), made_on, tuple(
+                     float(f"{min(error, 1e3):.4g}") for error in map(audit_error, view.touches) if error is not None))
 
 
 def content_sha256(entries: tuple[Entry, ...]) -> str:
@@ -206,12 +207,6 @@ def error_against(force: np.ndarray, converged: np.ndarray, wanted: np.ndarray, 
 def apart(coarse: Touch, fine: Touch) -> float:
     """By how much two simulations of a touch differ, see `error_against`; 0 if neither meets anything."""
     return error_against(coarse.force, coarse.converged, fine.force, fine.converged) or 0.0
-
-
-def audit_errors(view: ObjectView) -> tuple[float, ...]:
-    """Errors of the audited touches of a view [-], rounded as dataset.json holds them."""
-    found = (audit_error(touch) for touch in view.touches)
-    return tuple(float(f"{min(error, 1e3):.4g}") for error in found if error is not None)
 
 
 def observed(options: Mapping[str, Any], errors: Sequence[float]) -> dict[str, Any] | None:

@@ -125,12 +125,11 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
         if not (path / MANIFEST).is_file():
             raise
         return Report(path, (Problem(MANIFEST, str(error), ""),))
-    problems: list[Problem] = []
     whole: list[Entry] = []  # whose file is as it should be
     unresolved, untouched, worst, labels = 0, 0, 0.0, list[np.ndarray]()
     listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
-    for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
-        problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
+    problems = [Problem(name, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset.")
+                for name in sorted({p.name for p in path.iterdir()} - listed)]
     for done, entry in enumerate(dataset.entries):
         progress(done, len(dataset.entries), entry.name)
         file = path / entry.file

@@ -32,7 +32,7 @@ from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import EFFECTOR_GROUP, effectors, loaded
-from vsfsim.data.records import ObjectView, Truth
+from vsfsim.data.records import ObjectView
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import PressResult
 from vsfsim.physics.tiers import TIERS
@@ -54,9 +54,6 @@ class Drawing:
     """What is printed; the scene's name is put before the first line."""
     body: Elements | None = None
     """Its elements, placed as the surface is. None where it has none."""
-    truth: Truth | None = None
-    """Its elements, as a dataset records them: without probed points and particles. None where only a surface is
-    drawn."""
 
 
 class Effector(Protocol):

@@ -17,7 +17,7 @@ import numpy as np
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.manifest import apart
-from vsfsim.data.records import ObjectView, Touch, Truth
+from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.streams import Stream
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import Drawing
@@ -168,10 +168,8 @@ class OnSolids(abc.ABC):
                              f"{1e6 * volume[inside].sum():8.1f} cm^3")
         lines.extend(f"note: {sentence}" for sentence in solid.notes)
         surface = surface_of(solid, scene)
-        truth = Truth(points=surface.vertices[solid.tets].mean(axis=1), young_modulus=mean,
-                      region=np.asarray(solid.region), region_names=solid.region_names)
         body = Elements(surface.vertices, solid.tets, mean, np.arange(len(mean)))
-        return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), body, truth)
+        return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), body)
 
 
 def _disc(radius: float) -> np.ndarray:

@@ -146,16 +146,8 @@ class PressResult:
 
     force = property(lambda self: self.touch.force)
     """Contact force on the effector, in the world (T, 3) [N]."""
-    axis = property(lambda self: self.touch.axis)
-    """Unit direction of the press, in the world (3,) [-]; of a path with corners, of its first part."""
-    reaction = property(lambda self: self.touch.reaction)
-    """Force of the supports on what is pressed, or of the mount on the sensor, in the world (T, 3) [N]."""
     converged = property(lambda self: self.touch.converged)
     """Whether each frame is an equilibrium within the solver's tolerance, whose forces balance (T,)."""
-    residual = property(lambda self: self.touch.residual)
-    """Unbalanced force over contact force (T,) [-]."""
-    iterations = property(lambda self: self.touch.iterations)
-    """Newton iterations (T,)."""
     audit = property(lambda self: self.touch.audit)
     """Columns of the audit, each (T,); see `Touch.audit`."""
     resolved = property(lambda self: self.touch.resolved)
@@ -185,8 +177,8 @@ class PressResult:
             out.append(Column("mesh err %", 100.0 * audit["mesh_error"], ".1f"))
         out += [Column("energy J", audit["energy"], ".2e"), Column("penetr. mm", deep, ".3f")
                 if edge is None else Column("penetr. %", 0.1 * deep / edge, ".2g"),
-                Column("residual", self.residual, ".1e"),
-                Column("iterations", self.iterations, "d")]
+                Column("residual", self.touch.residual, ".1e"),
+                Column("iterations", self.touch.iterations, "d")]
         return (*out, Column("s", seconds, ".2f")) if np.ndim(seconds) else tuple(out)
 
     @property
@@ -212,7 +204,7 @@ class PressResult:
         balance, deepest = (float(np.nanmax(audit[name])) + 0.0 for name in ("force_balance", "penetration"))
         words = [head, f"Force on the bodies and reaction of the supports agree to {balance:.1e}"
                  + (f", more than the {BALANCE:g} that is allowed;" if balance > BALANCE else ";"),
-                 f"residual at most {float(np.nanmax(self.residual)):.1e}"
+                 f"residual at most {float(np.nanmax(self.touch.residual)):.1e}"
                  + (";" if tolerance is None else f" (tolerance {tolerance:g});"),
                  f"deepest penetration {1e6 * deepest:.2g} um"]
         if edge is not None:
@@ -231,7 +223,8 @@ class PressResult:
         """What ``--json`` prints: lists, numbers and texts by key."""
         names = ("depth", "force", "normal_force", "axis", "reaction", "converged", "residual", "iterations", "audit",
                  "notes", "reason", "statement", *(() if self.resolved is None else ("resolved",)))
-        return plain({**{name: getattr(self, name) for name in names}, "precision": "float64", **self.more})
+        told = {name: getattr(self if hasattr(self, name) else self.touch, name) for name in names}
+        return plain({**told, "precision": "float64", **self.more})
 
     def marks(self) -> list[str]:
         """What is wrong with each frame (T,), in two words; empty for a good one."""

@@ -12,13 +12,6 @@ from vsfsim.core.shape import Plane, ProbeShape
 FRAME_SECONDS = 1.0 / 30.0  # at the Punyo's frame rate [s]
 
 
-def straight(start: np.ndarray, stop: np.ndarray, steps: int) -> np.ndarray:
-    """``steps`` positions (steps, 3) [m] on the straight line, the first one step away from ``start``, the last at
-    ``stop``."""
-    t = np.arange(1, steps + 1)[:, None] / steps
-    return start + t * (np.asarray(stop, float) - start)
-
-
 def turn_to(axis: np.ndarray, probe: ProbeShape) -> np.ndarray:
     """A rotation (3, 3) that points the probe along the direction of travel ``axis`` (3,).
 
@@ -105,7 +98,8 @@ def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np
     # the waiting frames, at rest at the start, are the sensor's tare
     waiting = np.repeat(start[None], free, axis=0)
     # the frames of the way in cover the depth only; on the way from the start to the surface nothing touches
-    way_in = straight(contact, contact + (spec.depth if depth is None else depth) * axis, inward)
+    deep = (spec.depth if depth is None else depth) * axis
+    way_in = contact + np.arange(1, inward + 1)[:, None] / inward * (contact + deep - contact)
     parts = [waiting, way_in, np.repeat(way_in[-1:], hold, axis=0)]
     if out:
         back = np.concatenate([way_in[::-1][1:], contact[None]])

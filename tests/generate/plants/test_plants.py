@@ -66,7 +66,7 @@ def test_a_touch_ends_before_its_force_limit_on_the_straight_line(scene_file, tm
     touches, aims, short = make_view(job, device="cpu").touches, prepare_job(job, device="cpu").aims, 0
     for touch, a in zip(touches, aims, strict=True):
         assert np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
-        off = touch.mount_pose[:, :3, 3] - a.start
+        off = touch.mount_pose[:, :3, 3] - a.target
         assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() <= 1e-5, "as `straight_touch` says"
         short += len(touch.time) < len(a.plan)
     assert short > 0

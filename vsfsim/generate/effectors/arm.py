@@ -20,7 +20,6 @@ from vsfsim.generate.plants.aim import ArmAim
 from vsfsim.generate.plants.subject import Subject, grow, prepare_job
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
 from vsfsim.generate.plants.touches import finish_touches, make_together, make_view, solve
-from vsfsim.generate.plants.truth import segments
 from vsfsim.generate.press_result import BodyPanel, Column, PressResult, frames_done
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.workers import make_each
@@ -132,7 +131,7 @@ class ArmEffector:
                              f"{1e3 * r.min():.2g} to {1e3 * r.max():.2g} mm")
         lines.extend(f"note: {sentence}" for sentence in plant.notes)
         modulus = np.repeat(plant.young_modulus[1:], triangles_of(plant)[1:])
-        return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines), None, segments(plant))
+        return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines))
 
 
 EFFECTOR = ArmEffector()

@@ -50,24 +50,17 @@ class ArmAim:
     """Point of the visible cloud (3,) [m]."""
     axis: np.ndarray
     """Unit direction of motion (3,) [-]."""
-    start: np.ndarray
-    """Where the tool starts (3,) [m]."""
-    stop: np.ndarray
-    """Where the tool stops (3,) [m]."""
     line: np.ndarray
     """Joint angles along the way in (P, 7) [rad]."""
     plan: np.ndarray
     """Row of ``line`` of each frame (T,) int."""
     draws: int
     """Number of targets drawn until one could be reached."""
-    refused: Counter
-    """Why the targets before were refused: how many for each reason."""
 
     @classmethod
     def along(cls, q: np.ndarray, axis: np.ndarray) -> ArmAim:
         """A touch along joint angles (T, 7) [rad], whose target nobody knows."""
-        unknown = np.full(3, np.nan)
-        return cls(unknown, axis, unknown, unknown, np.asarray(q, float), np.arange(len(q)), 1, Counter())
+        return cls(np.full(3, np.nan), axis, np.asarray(q, float), np.arange(len(q)), 1)
 
 
 def load(spec: ArmSpec) -> Arm:
@@ -184,7 +177,7 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
             continue
         back = np.rint(np.linspace(inward, 0, out + 1)).astype(int)[1:] if out else np.zeros(0, int)
         plan = np.concatenate([np.zeros(free, int), np.arange(1, inward + 1), np.full(hold, inward), back])
-        return ArmAim(target, way, start, stop, line, plan, draw, refused)
+        return ArmAim(target, way, line, plan, draw)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
     why = f"none of {draws} targets can be reached: {reasons}"
     raise NothingReached(f"{where} [touches]: {why}. Move [arm] base or the object, or use a "

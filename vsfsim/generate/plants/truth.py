@@ -3,12 +3,9 @@ model fitted to all torques."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from vsfsim.core.chain import Chain
-from vsfsim.core.plant import Plant
 from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.truth import oracle, probed_points
 from vsfsim.physics.rods.model import RodModel
@@ -76,14 +73,10 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
         good = touch.converged[k]
         rows.append(w[np.flatnonzero(np.repeat(good, chain.dof))])
         values.append(touch.torque[k][good].ravel())
-    return replace(segments(model.plant), probe_points=points[keep], probe_normals=normals[keep],
-                   probe_stiffness=stiffness[keep], **oracle(particles, rows, values),
-                   notes=model.plant.notes if model.plant.name else None)
-
-
-def segments(plant: Plant) -> Truth:
-    """Modulus and section of every segment, without probed points and particles."""
+    plant = model.plant
     ends = np.stack([plant.nodes[plant.parent[1:]], plant.nodes[1:]], axis=1)
     return Truth(points=ends.mean(axis=1), young_modulus=plant.young_modulus[1:],
                  region=plant.region[1:].astype(np.int64), region_names=plant.region_names,
-                 radius=plant.radius[1:], half_width=plant.half_width[1:], segment_ends=ends)
+                 radius=plant.radius[1:], half_width=plant.half_width[1:], segment_ends=ends,
+                 probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
+                 notes=plant.notes if plant.name else None, **oracle(particles, rows, values))

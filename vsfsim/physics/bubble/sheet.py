@@ -42,8 +42,6 @@ class Balanced:
     """Gauge pressure [Pa]."""
     volume: float
     """Volume inside the surface [m^3]."""
-    residual: float
-    """Unbalanced over acting force [-]."""
 
 
 class Sheet:
@@ -133,7 +131,7 @@ class Sheet:
             residual, gradient, error = new
         if not (error < _GOOD and abs(short) < 1e-9):
             return None
-        return Balanced(u, float(pressure), self.volume(u), error)
+        return Balanced(u, float(pressure), self.volume(u))
 
 
 def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> Balanced:
