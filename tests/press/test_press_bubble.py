@@ -33,7 +33,7 @@ def test_force_depth_and_pressure(down):
     assert down.depth == pytest.approx([max(apex - z, 0.0) for z in (0.342, 0.339, 0.336)], abs=1e-4)
     assert (np.diff(down.force[:, 2]) > 0.0).all(), "pushed back up"
     assert np.abs(down.force[:, :2]).max() < 1e-3 * down.force[-1, 2]
-    assert down.touch.reaction == pytest.approx(-down.force, rel=1e-3, abs=1e-3), "the mount holds it"
+    assert down.touch.reaction == pytest.approx(-down.force, rel=1e-3, abs=1e-3), "it is held"
     assert down.more["body_force"][:, 0] == pytest.approx(-down.force, rel=1e-9, abs=1e-9)
     # the mount frame is turned over: +z leads downwards
     assert down.more["wrench"][:, 2] == pytest.approx(-down.force[:, 2], rel=1e-9)
@@ -81,7 +81,7 @@ def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pus
     result = result_of(made, Request())
     saved = {name: values for name, (values, _) in result.saved().items()}
     assert result.converged.all() and result.force[-1, 2] > 0.5
-    assert result.touch.reaction == pytest.approx(result.force, rel=1e-2, abs=1e-3), "the object is held"
+    assert result.touch.reaction == pytest.approx(result.force, rel=1e-2, abs=1e-3), "it is held"
     assert result.more["body_force"][:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)
     assert saved["node_force"].sum(axis=1) == pytest.approx(result.force, rel=1e-5, abs=1e-6)
     arm = saved["node_position"] - saved["mount_pose"][:, None, :3, 3]
