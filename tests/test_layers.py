@@ -185,20 +185,6 @@ def floors(texts: dict[str, str]) -> dict[str, int]:
     return out
 
 
-def wrong_size_or_name(path: Path, lines: int) -> list[str]:
-    """What is wrong with the length and the name of a file, relative to the root."""
-    out = [f"{path} has {lines} lines, over {LONGEST}: it holds more than one idea"] * (lines > LONGEST)
-    return out + [f"{path}: '{part}' says nothing; name the idea" for part in path.with_suffix("").parts
-                  if set(part.strip("_").split("_")) & set(FORBIDDEN_NAMES)]
-
-
-def crowded(paths: list[Path]) -> list[str]:
-    """Folders with more than `MOST_MODULES` modules at one level, `__init__.py` aside."""
-    counts = Counter(path.parent for path in paths if path.name != "__init__.py")
-    return [f"{folder} has {count} modules, over {MOST_MODULES}: it needs inner walls"
-            for folder, count in sorted(counts.items()) if count > MOST_MODULES]
-
-
 def test_imports_follow_the_table():
     assert [v for path in files() for v in violations((ROOT / path).read_text(), path)] == []
 
@@ -222,15 +208,14 @@ def test_no_modules_import_one_another_and_no_layer_has_too_many_floors():
         assert high == {}, f"{layer} has more than {most} floors; move down what a module takes from the one below"
 
 
-def test_no_folder_is_crowded():
-    tests = [path.relative_to(ROOT) for path in (ROOT / "tests").rglob("*.py")]
-    assert crowded([*files(), *tests]) == []
-
-
-def test_files_are_short_and_named_for_what_they_hold():
-    found = [p.relative_to(ROOT) for top in (*SHIPPED, "tests") for p in sorted((ROOT / top).rglob("*.py"))]
-    assert [v for path in found
-            for v in wrong_size_or_name(path, len((ROOT / path).read_text().splitlines()))] == []
+def test_files_are_short_and_named_for_what_they_hold_and_no_folder_is_crowded():
+    paths = [path.relative_to(ROOT) for top in (*SHIPPED, "tests") for path in sorted((ROOT / top).rglob("*.py"))]
+    for path in paths:
+        assert len((ROOT / path).read_text().splitlines()) <= LONGEST, f"{path} holds more than one idea"
+        words = {word for part in path.with_suffix("").parts for word in part.strip("_").split("_")}
+        assert not words & set(FORBIDDEN_NAMES), f"{path}: the name says nothing; name the idea"
+    counts = Counter(path.parent for path in {*paths, *files()} if path.name != "__init__.py")
+    assert {folder: n for folder, n in counts.items() if n > MOST_MODULES} == {}, "they need inner walls"
 
 
 def test_the_table_knows_every_folder():

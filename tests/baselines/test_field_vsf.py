@@ -41,6 +41,8 @@ def test_the_grid_separates_stiff_from_soft_by_total_forces(seen):
     stiffness = method.stiffness(points).mean
     # The truth is 5; touches come from the middle 4 cm, and a ball of 15 mm feels both halves.
     assert stiffness[points[:, 0] > 0.004].mean() > 1.8 * stiffness[points[:, 0] < -0.004].mean()
+    (told,), clean = method.predict([recording.readings[7].action]), recording.clean[7]
+    assert np.abs(told - clean).max() < 0.6 * clean.max(), "measured: 0.4 of it, between the halves"
     method.adapt(view.view, [])
     assert not method.stiffness(points).mean.any() and not method.predict([recording.readings[0].action])[0].any()
 

@@ -13,7 +13,6 @@ from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.account import scan_foot
 from vsfsim.physics.mesh.quadratic import assemble, quadratic_mesh
-from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
 
@@ -47,27 +46,6 @@ def test_what_is_asked_for_beats_the_scenes_own_and_more_than_enough_is_fine():
 def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked, message):
     with pytest.raises(SceneError, match=re.escape(message)):
         tiers.choose(scene(**given), asked)
-
-
-def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line):
-    """After a step of several times its thickness both faces lie in the ball: frames were lost, or called converged
-    with 4 to 25 times the force."""
-    model, probe = block((0.001, 0.1, 0.1), 0.01, young_modulus=1e6), Sphere(0.02)
-    options = SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))
-
-    face, middle = model.mesh.points.max(axis=0)[0], model.mesh.points.mean(axis=0)[1]
-
-    def press(step):
-        poses = line([[face + 0.02 - x, middle, 0.06] for x in np.arange(step, 0.0121, step)], probe, (-1.0, 0.0, 0.0))
-        free = line([[face + 0.025, middle, 0.06]], probe, (-1.0, 0.0, 0.0))[0]
-        frames = Solver(model, probe, linear=True, options=options).run(poses, start=free)
-        assert frames.converged.all()
-        return np.linalg.norm(frames.force[-1, 0])
-
-    known = press(0.001)
-    for step in (0.003, 0.006):
-        # displacements are known to 1e-3, and the forces agree to 3e-3
-        assert press(step) == pytest.approx(known, rel=0.01)
 
 
 def test_the_linear_tier_presses_and_its_supports_carry_the_force(line, device):

@@ -129,9 +129,3 @@ def test_gaps_are_mujocos(punyo):
             half = arm.shapes[k].length / 2 * data.geom_xmat[ids[k]].reshape(3, 3)[2, 2]
             ends = data.geom_xpos[ids[k]][2] + np.array([-half, half])
             assert table[t, m] == pytest.approx(ends.min() - arm.shapes[k].radius - 0.1, abs=1e-12)
-
-
-def test_the_home_posture_is_free():
-    arm = Arm(punyo=True)
-    at = arm.postures(np.array([gen3.HOME]))
-    assert reach.self_gaps(arm, at)[0].min() > 0.04 and reach.table_gaps(arm, at, 0.0)[0].min() > 0.2

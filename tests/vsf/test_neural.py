@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from palpation import layer_with_inclusion, palpate, two_halves
+from palpation import layer_with_inclusion, palpate
 
 from vsfsim.vsf.fields.line_integrals import Forces, SurfaceTouch, dome, oriented_areas
-from vsfsim.vsf.fields.neural import Fitting, density, fit, predict_totals
+from vsfsim.vsf.fields.neural import Fitting, density, fit
 
 torch.set_num_threads(1)
 BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])
@@ -83,14 +83,3 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
                               @ torch.tensor(axis, dtype=torch.float32)) for t in range(1, 5)])
     torch.testing.assert_close(every, by_frame, rtol=1e-4, atol=1e-12)
     np.testing.assert_allclose(force[:, 0], total.force[1:5], rtol=1e-6)
-
-
-def test_a_soft_and_a_stiff_half_are_separated_by_totals_alone():
-    touches = palpate(two_halves, touches=16, frames=6, extent=(0.08, 0.08), rings=4)
-    totals = [SurfaceTouch(t.vertices, t.triangles, t.force.sum(axis=1)[:, 2], np.array([0, 0, -1.0])) for t in touches]
-    model = fit("grid", totals, BOUNDS, Fitting(iterations=120, batch=600, samples=16, rate=3e-2))
-    left, right = (density(model, np.array([[x, y, -0.004] for y in (-0.02, 0.0, 0.02)])).mean() for x in (-0.03, 0.03))
-    # The truth is 10. Over 20 seeds of the touches 7 to 24, and forces within 0.18 of the largest.
-    assert 6.0 < right / left < 30.0
-    predicted = predict_totals(model, totals[0], samples=16)
-    assert predicted[0] == 0.0 and np.abs(predicted - totals[0].force).max() < 0.2 * np.abs(totals[0].force).max()
