@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from vsfsim.physics.bubble.sensor import FlatMesh
 from vsfsim.physics.mesh.structured import disc
-from vsfsim.sensing.bubble import BubbleReadout, FlatMesh
+from vsfsim.sensing.bubble import BubbleReadout
 
 
 def wrench(points, force):
@@ -14,7 +15,7 @@ def wrench(points, force):
 
 def flat(rings):
     points, triangles = disc(1.0, rings)
-    return FlatMesh(points * [0.05725, 0.040], triangles)
+    return FlatMesh(points * [0.05725, 0.040], triangles, np.arange(len(points))[-6 * rings:])
 
 
 def dome(points):
@@ -35,13 +36,13 @@ def coarse():
 @pytest.mark.parametrize("where", ["everywhere", "one node", "rim"])
 def test_net_force_and_moment_are_kept(fine, coarse, where):
     rng = np.random.default_rng(1)
-    points = np.stack([dome(fine.points), dome(fine.points) + 0.002 * rng.standard_normal((len(fine.points), 3))])
+    points = np.stack([dome(fine.flat), dome(fine.flat) + 0.002 * rng.standard_normal((len(fine.flat), 3))])
     force = rng.standard_normal(points.shape)
     if where == "one node":
-        force[:, np.arange(len(fine.points)) != 400] = 0.0
+        force[:, np.arange(len(fine.flat)) != 400] = 0.0
     if where == "rim":
         force[:, :-6 * 17] = 0.0
-    readout = BubbleReadout(fine, coarse)
+    readout = BubbleReadout(fine.flat, fine.faces, coarse)
     moved = readout.forces(points, force)
     nodes = readout.positions(points)
     origin = np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3]])
@@ -65,11 +66,11 @@ def test_the_real_sensor_is_read_on_its_390_nodes(model):
 
     readout, inner = readout_of(model), np.ones(390, bool)
     inner[model.read_out.rim] = False
-    assert len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714 and inner.sum() == 390 - 64
+    assert len(readout.readout.flat) == 390 and len(readout.readout.faces) == 714 and inner.sum() == 390 - 64
     nodes = readout.positions(model.mesh.points[None])[0]
     assert np.abs(nodes[~inner, 2]).max() < 1e-12  # the rim is planar
     # linear functions of the material are interpolated exactly, but outside the coarser rim
-    off = readout.positions(np.pad(model.flat, ((0, 0), (0, 1)))[None])[0, :, :2] - readout.readout.points
+    off = readout.positions(np.pad(model.flat, ((0, 0), (0, 1)))[None])[0, :, :2] - readout.readout.flat
     assert np.abs(off[inner]).max() < 1e-12
     # and a force on any node keeps its moment
     force = np.zeros((1, len(model.mesh.points), 3))

@@ -64,7 +64,7 @@ def tier_for(scene: Scene, asked: str | None) -> str:
 def dome_of(model: BubbleModel) -> Dome:
     """The free dome on the read-out mesh: what a dataset says of its sensor's shape."""
     seen = readout_of(model)
-    return Dome.of(seen.positions(model.mesh.points[None])[0], seen.readout.triangles)
+    return Dome.of(seen.positions(model.mesh.points[None])[0], seen.readout.faces)
 
 
 def draw_dome(scene: Scene) -> Drawing:

@@ -6,27 +6,15 @@ triangle of the other by its material coordinates: those of the flat ellipse bef
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from vsfsim.physics.bubble.sensor import BubbleModel, containing, interpolation
+from vsfsim.physics.bubble.sensor import BubbleModel, FlatMesh, containing, interpolation
 
 _SLACK = 1e-9  # a barycentric weight below this size is treated as zero: the point lies on an edge
 
 
-@dataclass(frozen=True)
-class FlatMesh:
-    """A mesh of the flat skin."""
-
-    points: np.ndarray
-    """Material coordinates (n, 2) [m]."""
-    triangles: np.ndarray
-    """Node indices, counter-clockwise (m, 3)."""
-
-
-def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
-    """The triangle of ``mesh`` that contains each of the flat ``points`` (k, 2) [m].
+def locate(points: np.ndarray, flat: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The triangle of a mesh, nodes ``flat`` (n, 2) [m] and ``faces`` (m, 3), that holds each of ``points`` (k, 2) [m].
 
     A point outside the mesh takes the nearest point of the triangle whose smallest weight is largest. Such points exist
     because the rims are polygons, and a finer polygon bulges further.
@@ -34,12 +22,12 @@ def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Nodes of the triangles (k, 3), and barycentric weights of the points in them (k, 3).
     """
-    triangle, weight = containing(mesh.points, mesh.triangles, points)
+    triangle, weight = containing(flat, faces, points)
     for k in np.flatnonzero(weight.min(axis=1) < -_SLACK):
-        weight[k] = _nearest(points[k], mesh.points[mesh.triangles[triangle[k]]])
+        weight[k] = _nearest(points[k], flat[faces[triangle[k]]])
     weight = np.where(np.abs(weight) < _SLACK, 0.0, weight)
     weight /= weight.sum(axis=1, keepdims=True)
-    return mesh.triangles[triangle], weight
+    return faces[triangle], weight
 
 
 def _nearest(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
@@ -59,17 +47,17 @@ class BubbleReadout:
     """Transfer of positions and forces from the solver's mesh to the read-out mesh.
 
     Args:
-        solver: flat mesh of the solver.
-        readout: flat mesh of the read-out; if it equals ``solver``, nodes and forces pass unchanged.
+        flat: nodes of the solver's mesh of the flat skin (n, 2) [m].
+        faces: its triangles (m, 3).
+        readout: mesh of the read-out; if it is the same, nodes and forces pass unchanged.
     """
 
-    def __init__(self, solver: FlatMesh, readout: FlatMesh):
-        self.solver, self.readout = solver, readout
-        self._corners, share = locate(solver.points, readout)
-        self._up = interpolation(self._corners, share, len(readout.points))
-        self._down = interpolation(*locate(readout.points, solver), len(solver.points))
-        self._same = (np.array_equal(solver.points, readout.points)
-                      and np.array_equal(solver.triangles, readout.triangles))
+    def __init__(self, flat: np.ndarray, faces: np.ndarray, readout: FlatMesh):
+        self.readout = readout
+        self._corners, share = locate(flat, readout.flat, readout.faces)
+        self._up = interpolation(self._corners, share, len(readout.flat))
+        self._down = interpolation(*locate(readout.flat, flat, faces), len(flat))
+        self._same = np.array_equal(flat, readout.flat) and np.array_equal(faces, readout.faces)
 
     def positions(self, points: np.ndarray) -> np.ndarray:
         """Read-out nodes (T, N, 3) [m] of solver nodes (T, n, 3) [m]."""
@@ -104,5 +92,4 @@ class BubbleReadout:
 
 def readout_of(model: BubbleModel) -> BubbleReadout:
     """The read-out of a bubble from `vsfsim.physics.bubble.sensor.build_bubble` on the published mesh of 390 nodes."""
-    return BubbleReadout(*(FlatMesh(flat, np.asarray(faces, np.int64)) for flat, faces in (
-        (model.flat, model.mesh.faces), (model.read_out.flat, model.read_out.faces))))
+    return BubbleReadout(model.flat, model.mesh.faces, model.read_out)

@@ -34,7 +34,7 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
         with a camera.
     """
     frames, good, readout = len(position), converged, readout_of(model)
-    nodes = len(readout.readout.points)
+    nodes = len(readout.readout.flat)
 
     def nan(*shape: int) -> np.ndarray:
         return np.full((frames, *shape), np.nan)
@@ -50,8 +50,8 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     for name in ("node_position", "node_force"):
         out[name] = out[name].astype(np.float32)
     out["node_rest"] = readout.positions(model.mesh.points[None])[0]
-    out["node_reference"] = readout.readout.points / model.spec.pre_stretch
-    out["node_triangles"] = readout.readout.triangles
+    out["node_reference"] = readout.readout.flat / model.spec.pre_stretch
+    out["node_triangles"] = readout.readout.faces.astype(np.int64)
     if model.spec.fine:
         for name, values in (("fine_position", position), ("fine_force", force)):
             out[name] = np.where(good[:, None, None], values, np.nan).astype(np.float32)

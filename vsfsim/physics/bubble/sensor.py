@@ -36,15 +36,15 @@ _SHALLOW = 0.1  # height of the first dome over the short semi-axis
 
 
 @dataclass(frozen=True)
-class ReadOut:
-    """The mesh of the sensor's reading: the Punyo's 390 nodes, fixed to the material."""
+class FlatMesh:
+    """A mesh of the flat skin."""
 
-    faces: np.ndarray
-    """Triangles, wound outwards (714, 3)."""
-    rim: np.ndarray
-    """Nodes of the rim in order (64,)."""
     flat: np.ndarray
-    """Positions before inflation (390, 2) [m]."""
+    """Positions before inflation (n, 2) [m]."""
+    faces: np.ndarray
+    """Triangles, wound outwards (m, 3)."""
+    rim: np.ndarray
+    """Nodes of the rim in order (r,)."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class BubbleModel(Model):
     """Gauge pressure of the free dome [Pa]."""
     dead_volume: float
     """Volume of the chamber behind the plane of the rim [m^3]."""
-    read_out: ReadOut
+    read_out: FlatMesh
     """The mesh of the sensor's reading."""
 
     def least_force(self) -> float:
@@ -239,8 +239,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     blocks = (*elastic_blocks(spec, points, flat, faces), air, plate)
     factor = RestFactor.of(assemble(len(points), blocks), free, points, gas.rest_coupling(air, len(points)))
     edge = mesh.edge(touched)
-    read_flat, read_faces, read_rim = membrane_mesh.ellipse(*spec.semi_axes, READ_OUT)
-    read_out = ReadOut(read_faces.astype(np.int32), read_rim, read_flat)
+    read_out = FlatMesh(*membrane_mesh.ellipse(*spec.semi_axes, READ_OUT))
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
     return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),
                        spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,
