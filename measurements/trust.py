@@ -32,6 +32,9 @@ TIERS = ("linear", "fem-coarse", "fem-coarse", "fem")
 WAYS = ("press", "press", "press", "slide", "scan")
 WITHIN = (0.02, 0.05, 0.10)
 """Errors that the report tells apart [-]; past the last a frame that is not marked is wrong in silence."""
+TOLD = {"up to 1 %": (0.0, 0.01), "1 to 2 %": (0.01, 0.02), "2 to 5 %": (0.02, 0.05), "5 to 10 %": (0.05, 0.1),
+        "over 10 %": (0.1, np.inf), "all": (0.0, np.inf)}
+"""Rows of the errors that frames are told [-]."""
 SURE = 0.03
 """Largest error of a reference [-]; frames whose reference is worse are not judged."""
 SMALL = 0.1
@@ -144,8 +147,8 @@ def report(rows: Sequence[dict[str, Any]], settings: dict[str, Any]) -> Measurem
     plain = [row for row in frames if not row["marked"]]
     wrong = [{**row, "kind": ", ".join(row["kinds"])} for row in plain if row["error"] - row["unsure"] > WITHIN[-1]]
     told = [row for row in plain if row["told"] == row["told"]]
-    bounds = [(0.0, 0.01), (0.01, 0.02), (0.02, 0.05), (0.05, 0.1), (0.1, np.inf), (0.0, np.inf)]
-    hold = [_hold(low, high, [row for row in told if low <= row["told"] < high]) for low, high in bounds]
+    hold = [_hold(words, some) for words, (low, high) in TOLD.items()
+            if (some := [row for row in told if low <= row["told"] < high])]
     why = Counter(row["why"][:80] for row in rows if "why" in row)
     percent = partial(Column, unit="1", printed="%")
     tables = [
@@ -158,7 +161,7 @@ def report(rows: Sequence[dict[str, Any]], settings: dict[str, Any]) -> Measurem
         Table("Frames without a mark, by the error that is told", (
             Column("told", "told"), Column("frames", "frames", "1", form="d"),
             percent("within", "within it", form=".0f"),
-            Column("ratio", "error over told, 95 %", "1", form=".2f")), [row for row in hold if row["frames"]], "told")]
+            Column("ratio", "error over told, 95 %", "1", form=".2f")), hold, "told")]
     if wrong:
         tables.append(Table("Frames that are wrong in silence", (
             Column("number", "press", "1", form="d"), Column("frame", "frame", "1", form="d"),
@@ -185,10 +188,8 @@ def _shares(kind: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "wrong": float((sure > WITHIN[-1]).mean()) if len(plain) else np.nan}
 
 
-def _hold(low: float, high: float, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _hold(words: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     sure = np.array([max(row["error"] - row["unsure"], 0.0) for row in rows])
     told = np.array([max(row["told"], 1e-4) for row in rows])
-    words = "all" if (low, high) == (0.0, np.inf) else f"up to {100 * high:g} %" if low == 0.0 else (
-        f"over {100 * low:g} %" if high == np.inf else f"{100 * low:g} to {100 * high:g} %")
-    return {"told": words, "frames": len(rows), "within": float((sure <= told).mean()) if rows else np.nan,
-            "ratio": float(np.quantile(sure / told, 0.95)) if rows else np.nan}
+    return {"told": words, "frames": len(rows), "within": float((sure <= told).mean()),
+            "ratio": float(np.quantile(sure / told, 0.95))}

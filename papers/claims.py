@@ -57,7 +57,7 @@ class Verdict:
         higher = METRICS[one.metric].higher_is_better or one.metric == "rotation_error"  # a share of objects
         if not one.figures:
             return Question(self.difference, one.equal, higher, None)
-        better, worse = (figure(name).value for name in one.figures)
+        better, worse = (figure(name)[0] for name in one.figures)
         return Question(self.difference, one.equal, higher, (better - worse if higher else worse - better) / worse)
 
 

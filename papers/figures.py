@@ -15,16 +15,6 @@ from vsfsim.core.table import parse_toml, read_text, typed
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A cell."""
-
-    value: float
-    """Mean, or the only number [unit of the table]."""
-    unit: str
-    """"" for a share."""
-
-
-@dataclass(frozen=True)
 class PaperTable:
     """A table of a paper."""
 
@@ -49,8 +39,9 @@ TABLES: Mapping[str, PaperTable] = {name: typed(given, PaperTable, f"{_PATH} [{n
 """By paper and number."""
 
 
-def figure(name: str) -> Figure:
-    """The cell that "TABLE/COLUMN/ROW" names; the row "all" is the number below the table.
+def figure(name: str) -> tuple[float, str]:
+    """The mean, or the only number, in the cell that "TABLE/COLUMN/ROW" names, and its unit, "" for a share; the row
+    "all" is the number below the table.
 
     Raises:
         TaskError: there is no such cell.
@@ -60,19 +51,18 @@ def figure(name: str) -> Figure:
         raise TaskError(f"figures: '{name}' names no table. {did_you_mean(of, TABLES)}")
     table = TABLES[of]
     if row == "all" and table.alone:
-        return Figure(next(iter(table.alone.values())), table.unit)
+        return next(iter(table.alone.values())), table.unit
     for part, known in ((column, table.columns), (row, table.rows)):
         if part not in known:
             raise TaskError(f"figures: '{name}' names no cell of {of}. {did_you_mean(part, known)}")
     cell = table.columns[column][table.rows.index(row)]
-    return Figure(cell[0] if isinstance(cell, tuple) else cell, table.unit)
+    return (cell[0] if isinstance(cell, tuple) else cell), table.unit
 
 
 def said(names: tuple[str, ...], words: str) -> str:
     """The figures of both sides with their unit, or ``words`` where there are none."""
     if not names:
         return words
-    found = [figure(name) for name in names]
-    digits = 3 if not found[0].unit else 2
-    kind = "" if found[0].unit else names[0].split("/")[1] + " "
-    return f"{kind}{' and '.join(f'{one.value:.{digits}f}' for one in found)} {found[0].unit}".rstrip()
+    values, (unit, *_) = zip(*map(figure, names), strict=True)
+    kind = "" if unit else names[0].split("/")[1] + " "
+    return f"{kind}{' and '.join(f'{value:.{2 if unit else 3}f}' for value in values)} {unit}".rstrip()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 MOST = 1.5
@@ -11,18 +9,9 @@ MOST = 1.5
 sideways."""
 
 
-@dataclass(frozen=True)
-class Exact:
-    """An inextensible stem, clamped upright at its foot, that leans on a frictionless bar at a fixed height."""
-
-    way: np.ndarray
-    """Of the bar's axis from the foot (k,) [m], increasing, to where the stem slips off over its end."""
-    force: np.ndarray
-    """On the bar over the stem's bending stiffness (k,) [1/m^2]."""
-
-
-def elastica(height: float, reach: float, length: float, *, most: float = MOST) -> Exact:
-    """The elastica under a force across its end, to a lean of ``most`` [rad] there.
+def elastica(height: float, reach: float, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """An inextensible stem, clamped upright at its foot, that leans on a frictionless bar at a fixed height: the
+    elastica under a force across its end, to a lean of `MOST` there.
 
     With phi the angle to the end's tangent, phi'^2 = 2 F sin(phi) / (E I), and the end is where the bar is. All shapes
     of one lean are similar, so lean and height give the length in use, which is the stem's when it slips off.
@@ -31,11 +20,14 @@ def elastica(height: float, reach: float, length: float, *, most: float = MOST) 
         height: of the bar's axis [m].
         reach: radius of the bar and of the stem together [m].
         length: of the stem [m].
-        most: largest lean [rad].
+
+    Returns:
+        Way of the bar's axis from the foot (k,) [m], increasing, to where the stem slips off over its end; and the
+        force on the bar over the stem's bending stiffness (k,) [1/m^2].
     """
     points, weights = np.polynomial.legendre.leggauss(60)
     out = []
-    for lean in np.linspace(0.02, most, 300):
+    for lean in np.linspace(0.02, MOST, 300):
         u = 0.5 * np.sqrt(lean) * (points + 1.0)  # phi = u^2 takes the root out of the integrals
         d = np.sqrt(lean) * weights * u / np.sqrt(np.sin(u**2))
         size, across, up = d.sum(), d @ np.sin(lean - u**2), d @ np.cos(lean - u**2)
@@ -44,4 +36,5 @@ def elastica(height: float, reach: float, length: float, *, most: float = MOST) 
             break
         if used > 0.0:  # a bar lower than its radius meets the foot
             out.append((used * across / size - reach * np.cos(lean), 0.5 * (size / used) ** 2))
-    return Exact(*np.array(out).reshape(-1, 2).T)
+    way, force = np.array(out).reshape(-1, 2).T
+    return way, force

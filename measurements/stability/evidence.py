@@ -178,8 +178,8 @@ def rod_travel(factors: Mapping[str, float]) -> float:
 def _behind(line: np.ndarray, centre: np.ndarray, size: float, radius: float) -> bool:
     """Whether a stem (n, 3) passes a capsule at ``centre`` (3,) on the side that the capsule came from, although an
     exact stem would still lean on it. Past that it may have slipped off over its end, or sideways."""
-    exact = elastica(float(centre[2]), size + radius, STEM)
-    if not len(exact.way) or centre[0] > exact.way[-1] - 0.01 * STEM:
+    way, _ = elastica(float(centre[2]), size + radius, STEM)
+    if not len(way) or centre[0] > way[-1] - 0.01 * STEM:
         return False
     x, z = line[:, 0], line[:, 2]
     crossing = np.flatnonzero((z[:-1] < centre[2]) & (z[1:] >= centre[2]))
