@@ -15,7 +15,7 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
 from vsfsim.view.scored import of_result
-from vsfsim.view.subject import of_drawing, of_press, of_view
+from vsfsim.view.subject import of_body, of_press, of_view
 
 if TYPE_CHECKING:
     from vsfsim.generate.press_result import PressResult
@@ -55,7 +55,7 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
     else:
         name, drawing = draw_scene(what, seed)
         title, words = f"{name}, {drawing.subtitle or f'seed {seed}'}", drawing.lines[0]
-        shown = [of_drawing(name, drawing)]
+        shown = [{"name": name, "about": drawing.lines[0], **of_body(drawing), "touches": [], "picture": None}]
     content = page(title, shown, **about)
     write_atomic(out, content)
     return ([f"{title}: {words}", f"page: {out}, {len(content) / 1e6:.1f} MB; open it in a browser"],

@@ -52,11 +52,6 @@ def of_view(data: Dataset, shown: ObjectView) -> dict[str, Any]:
             "picture": picture_table(shown.view)}
 
 
-def of_drawing(name: str, drawing: Drawing) -> dict[str, Any]:
-    """The object of a scene, without touches."""
-    return {"name": name, "about": drawing.lines[0], **of_body(drawing), "touches": [], "picture": None}
-
-
 def of_press(name: str, result: PressResult) -> dict[str, Any]:
     """What was pressed, frame by frame, and the touch.
 
