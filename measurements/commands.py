@@ -201,11 +201,9 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
     from vsfsim.data.dataset import Dataset
 
     if again:
-        if task is None:
-            raise TaskError("--again needs the name of a task: give --task.")
-        one = load_task(task)
-        if (known := fingerprint.shipped_record(one)) is None:
-            raise TaskError(f"task {task} has no record yet. Write one without --again.")
+        one = load_task(task) if task else None
+        if one is None or (known := fingerprint.shipped_record(one)) is None:
+            raise TaskError(f"--again needs a task that has a record, and --task is {task}. Write one without --again.")
         found = (fingerprint.make_record(one, open_dataset(one, dataset)) if dataset.is_dir()
                  else read_record(dataset, fingerprint.Record, fingerprint.KIND))
         wrong, _, share = apart(found, known)

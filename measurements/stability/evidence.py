@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,8 +79,7 @@ class Evidence:
     """Of a rod: whether it stands behind the capsule, on the side that it cannot have reached (T,) bool."""
 
 
-def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frames: int = 1,
-           tier: str | None = None) -> Evidence:
+def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu") -> Evidence:
     """Make the press of a cell.
 
     Args:
@@ -89,8 +87,6 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
         folder: an empty folder for its files.
         limit: limit of a frame's processor time [s].
         device: Warp device.
-        frames: factor on the number of frames of a solid.
-        tier: of a solid, instead of the cell's.
 
     Raises:
         VsfsimError: the press is refused.
@@ -99,10 +95,6 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
         return _rod(cell, device)
     if cell.kind == "bubble":
         return _bubble(bubble_scene(cell, folder), limit, device)
-    if frames > 1:
-        cell = dataclasses.replace(cell, factors={**cell.factors, "frames": frames * float(cell.factors["frames"])})
-    if tier is not None:
-        cell = dataclasses.replace(cell, factors={**cell.factors, "tier": tier})
     return _solid(cell, *solid_scene(cell, folder), limit, device)
 
 

@@ -9,7 +9,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -130,10 +130,12 @@ def second_press(cell: Cell, e: Evidence, folder: Path, limit: float, device: st
     if cell.kind != "solid" or not e.conservative or not e.converged.all():
         return []
     if draw == 0 and e.large:
-        return compare(e, gather(cell, folder, limit, device=device, frames=2), PATH, "in twice the frames")
-    if draw == 1 and f["tier"] == "fem-coarse" and float(f["depth"]) >= 0.1:
-        return compare(e, gather(cell, folder, limit, device=device, tier="fem"), TIER, "at tier fem")
-    return []
+        changed, allowed, what = {"frames": 2 * float(f["frames"])}, PATH, "in twice the frames"
+    elif draw == 1 and f["tier"] == "fem-coarse" and float(f["depth"]) >= 0.1:
+        changed, allowed, what = {"tier": "fem"}, TIER, "at tier fem"
+    else:
+        return []
+    return compare(e, gather(replace(cell, factors={**f, **changed}), folder, limit, device=device), allowed, what)
 
 
 def run(cells: Sequence[Cell], file: Path, circumstances: Mapping[str, Any], *, workers: int,
