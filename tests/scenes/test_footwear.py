@@ -136,12 +136,6 @@ def test_refusals() -> None:
         make(resolution=0.1)
 
 
-def test_an_entry_of_each_follows_the_number_of_the_object() -> None:
-    text = "[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = { each = [1e5, 2e5, 4e5] }\n"
-    scene = parse_scene(text, Path("t.toml"))
-    assert [scene.sample(7, number=k).object.young_modulus.base for k in range(4)] == [1e5, 2e5, 4e5, 1e5]
-
-
 def test_a_named_shoe_looks_as_its_model_says() -> None:
     for name in ("work-boot", "clog"):
         model = MODELS[name]

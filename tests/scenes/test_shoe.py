@@ -95,7 +95,6 @@ def test_same_seed_same_shoe_and_other_seed_another() -> None:
 
 
 def test_moduli_follow_their_classes(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert np.array_equal(make(9).young_modulus, make(9, resolution=0.02).young_modulus)
     monkeypatch.setattr(shoe, "improve_rank", lambda vertices, hexes, rank: rank)  # of the mesh alone
     drawn = np.array([make(seed, style=style, resolution=0.03).young_modulus for style in STYLES for seed in range(20)])
     e = dict(zip(REGIONS, drawn.T))
