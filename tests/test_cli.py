@@ -38,8 +38,7 @@ finally:
      "unknown task 'fewshot-shoe-v3-mini-v1'. Did you mean 'fewshot-shoes-v3-mini-v1'?"),
     (("check", "gaussian", "--set", "spcing=1"),
      "no parameter 'spcing'. Did you mean 'spacing'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-mini-v1"),
-     "vsfsim generate shoes-v3-mini --objects"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-v1"), "vsfsim generate shoes-v3 --objects"),
     (("cluster", "--shard", "0/4", "press", "pad"), "The command of `vsfsim cluster` is 'press'."),
 ])
 def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_path):
