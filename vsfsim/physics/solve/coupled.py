@@ -104,6 +104,14 @@ class CoupledSolver(Solver):
         within = contact.touches(every) | (contact.wrong_side(every) > 0) | (contact.overlap(every, u) > 0.0)
         return within.cpu().numpy()
 
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor) -> None:
+        """As of `Solver`; all points in contact begin stuck, as rubber mostly stays. Points that the step meets would
+        slide freely, and Newton's method, to which a point that slips offers nothing along its slip, throws them past
+        their anchors."""
+        super()._start(columns, before, pose, begin)
+        self.contact.evaluate(columns, self.contact.gather(self._balance.u[:, columns], columns))
+        self.contact.update_friction(columns)
+
     def _record(self, converged: np.ndarray) -> None:
         u, split = self._balance.u, 3 * len(self.object.mesh.points)
         self.history.append(u.clone().cpu().numpy())

@@ -68,6 +68,8 @@ class Equilibrium:
         self._loaded = _size(self.load).clamp(min=floor)
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
+        # least measure of every touch since its friction was renewed (B,) [-]
+        self._least = torch.zeros(batch, dtype=torch.float64, device=self.device)
         self.factors = TangentFactors(model, elasticity, contact)
         self._rooms: dict[str, Room] = {}
         self._rooms_of: torch.Tensor | None = None
@@ -142,6 +144,7 @@ class Equilibrium:
         held, within = np.full(len(host), has_friction), np.full(len(host), self.contact.friction_updated_below)
         renew = ~stuck  # whose tangent must be recomputed
         self.contact.coulomb[columns] = 0.0
+        self._least[columns] = float("inf")
         self.reason[host] = Reason.ITERATIONS
         self._deadline = deadline
 
@@ -158,6 +161,7 @@ class Equilibrium:
                 at = self._on(ready)
                 if self.contact.follows:
                     self.contact.coulomb[columns[at]] = 1.0
+                self._least[columns[at]] = float("inf")
                 for key, value in self.renew_friction(columns[at]).items():
                     state[key][..., at] = value
                 measure = look()
@@ -250,7 +254,8 @@ class Equilibrium:
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
               tolerance: float, going: torch.Tensor) -> np.ndarray:
         """Go along ``direction`` (3 n, k) [m], short of the inner bodies of the rigid bodies, and halve the step until
-        the potential falls, or the residual decreases where rounding hides the fall.
+        the potential falls, or the residual where rounding hides that, below all before: else a point between stick
+        and slip lets both fall in turn for ever.
 
         ``at``: entries of ``columns`` in ``state``, which is updated; ``going``: which go at all (k,) bool. Returns
         which of these moved (k,) bool.
@@ -263,9 +268,10 @@ class Equilibrium:
             reach = self.contact.reach(columns, self.contact.gather(direction, columns))
             step = torch.where(reach < 1.0, (_SHORT_OF * reach).clamp(min=_LEAST), 1.0)
             before = {f"{key} before": state[key][at] for key in ("potential", "measure", "wrong_side")}
-            return room.keep({"base": self.u[:, columns], "slope": slope, "step": step, **before})
+            least = self._least[columns] = torch.minimum(self._least[columns], state["measure"][at])
+            return room.keep({"base": self.u[:, columns], "slope": slope, "step": step, "least": least, **before})
 
-        base, slope, step, potential, measure, wrong_side = room.run("aim", aim).values()
+        base, slope, step, least, potential, measure, wrong_side = room.run("aim", aim).values()
 
         def go(which: torch.Tensor) -> None:
             some = columns[which]
@@ -273,7 +279,7 @@ class Equilibrium:
             new = self._find(some)
             way = step[which] * slope[which]
             falls = (new["potential"] <= potential[which] - 1e-4 * way) & (way > 0.0)  # nowhere is no step
-            decreases = ((new["measure"] < self.contact.decrease * measure[which])
+            decreases = ((new["measure"] < self.contact.decrease * least[which])
                          & (measure[which] < self.contact.potential_trusted_above))
             if self.contact.has_friction:
                 decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
