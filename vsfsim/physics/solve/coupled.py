@@ -109,6 +109,7 @@ class CoupledSolver(Solver):
         slide freely, and Newton's method, to which a point that slips offers nothing along its slip, throws them past
         their anchors."""
         super()._start(columns, before, pose, begin)
+        assert isinstance(self.contact, PairContact)
         self.contact.evaluate(columns, self.contact.gather(self._balance.u[:, columns], columns))
         self.contact.update_friction(columns)
 
