@@ -11,12 +11,13 @@ import numpy as np
 
 from measurements.measurement import Column, Measurement, Progress, Table
 from measurements.tradeoff.front import READINGS
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.disk import Store
 from vsfsim.data.manifest import ENOUGH, least_share, verdict
-from vsfsim.generate.trade.buy import PILOT, SEED, Tried, bound, ended, ground_of, least_factor, touches
+from vsfsim.generate.trade.buy import LEAST, MOST, PILOT, SEED, Tried, bound, ended, ground_of, least_factor, touches
 from vsfsim.generate.trade.setting import ROUGH
 
 SCENES = ("foam-block", *(str(Path(__file__).parent / "touched" / f"{name}.toml") for name in ("block", "column")),
@@ -29,8 +30,14 @@ def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[
     """Of each scene a pilot, then ``count`` touches of other objects, each under all settings and with a reference.
 
     What lies in the folder ``out`` is not made again.
+
+    Raises:
+        VsfsimError: no such scene, a goal that no touch could keep, or ``out`` cannot be written.
     """
     rows = []
+    for goal in goals:
+        if not LEAST <= goal <= MOST:
+            raise VsfsimError(f"--goal is {goal:g}; an accuracy is {LEAST:g} to {MOST:g}, e.g. 0.05.")
     for name in scenes:
         loaded = load_scene(find_scene(name))
         ground, _ = ground_of(loaded, device="cpu")
@@ -39,10 +46,9 @@ def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[
             made = []
             for part, seed, number in (("pilot", SEED, PILOT), ("data", 0, count)):
                 folder = out / loaded.name / ("rough" * (goal >= ROUGH) + part)
-                folder.mkdir(parents=True, exist_ok=True)
                 made.append(list(touches(loaded, ground, goal, Request(seed=seed, objects=number, workers=workers),
                                          Store(folder))))
-            rows.append(row_of(loaded.name, goal, [s.key for s in ground.steps()], *made,
+            rows.append(row_of(loaded.name, goal, [s.key for s in ground.steps()], made[0], made[1],
                                sum(loaded.sample(0).required_touches.frames)))
     return found_of(rows, {"touches": count})
 

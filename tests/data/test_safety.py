@@ -148,3 +148,6 @@ def test_a_pipe_is_written_into_and_not_replaced(tmp_path: Path) -> None:
     with open(os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK), "rb") as reader:
         write_atomic(tmp_path / "pipe", b"numbers")
         assert reader.read() == b"numbers" and (tmp_path / "pipe").is_fifo()
+    for name in ("", "."):
+        with pytest.raises(DatasetError, match="Is a directory"):
+            write_atomic(Path(name), b"numbers")

@@ -7,6 +7,7 @@ import pytest
 
 from measurements import promise
 from measurements.promise import row_of
+from vsfsim.core.errors import VsfsimError
 from vsfsim.generate.trade.buy import PILOT, Tried
 
 STEPS = ["coarse", "own", "fine", "finest"]
@@ -54,3 +55,7 @@ def test_what_is_made_lies_in_folders_of_the_scene(tmp_path, monkeypatch):
     monkeypatch.setattr(promise, "touches", one)
     promise.measure(("foam-block",), 30, goals=(0.04, 0.02), out=tmp_path / "new")
     assert sorted(p.parts[-3] for p in (tmp_path / "new" / "foam-block").rglob("*.touch")) == ["data", "pilot"]
+    (tmp_path / "file").touch()
+    for goal, out, refused in ((5.0, "new", "--goal is 5; .* 0.05"), (0.04, "file", "file.* be (made|read)")):
+        with pytest.raises(VsfsimError, match=refused):
+            promise.measure(("foam-block",), 30, goals=(goal,), out=tmp_path / out)

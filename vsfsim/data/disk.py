@@ -40,7 +40,7 @@ def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = Datas
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         raise error(f"folder {path.parent} cannot be made: {problem.strerror}. Choose another one.") from problem
-    part = path.with_name(f"{path.name}.{own_number()}.part")
+    part = path.parent / f"{path.name}.{own_number()}.part"  # the name is empty if the path is
     try:
         if path.exists() and not path.is_file():  # a folder is refused here
             path.write_bytes(content)
@@ -162,7 +162,6 @@ class Store:
             if self._path is None:
                 self._files.pipe_file(f"{self._root}/{name}", content)
             else:
-                (self._path / name).parent.mkdir(exist_ok=True)
                 write_atomic(self._path / name, content)
 
     def put_new(self, name: str, content: bytes) -> bool:

@@ -22,6 +22,7 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import Store, whole_folder, write_atomic
 from vsfsim.data.manifest import CARD, MANIFEST, card
 from vsfsim.data.recipe import text_sha256
+from vsfsim.data.safety import LARGEST_RATIO, SMALL, check_name
 from vsfsim.data.verify import verify
 
 VARIABLE = "VSFSIM_ARCHIVES"
@@ -77,18 +78,30 @@ def unpack(asked: Any, path: Path, note: Callable[[str], None]) -> None:
         lock, _ = file_lock.take(path.parent / f".{path.name}.lock", path, DatasetError, wait=True)
         try:
             if not path.exists():  # of several processes that begin at once one unpacks
-                with whole_folder(path) as part, zipfile.ZipFile(io.BytesIO(content)) as packed:
-                    packed.extractall(part)
-                    found, there = verify(part), Dataset.open(part).recipe
-                    if not found.ok or archive_name(there) != name:
-                        raise DatasetError(found.text() if not found.ok else (
-                            f"it holds another dataset, of scene {there.scene} and seed {there.seed}."))
+                with whole_folder(path) as part:
+                    _fill(part, content, f"{place}/{name}")
                 note(f"{path} is unpacked from {place}/{name}")
             return
-        except Exception as error:  # of a damaged file zipfile raises many kinds
-            raise DatasetError(f"archive {place}/{name} is not taken: {plain(error)} Copy it again, "
-                               f"delete it, or set {VARIABLE} to nothing.") from error
         finally:
             file_lock.release(lock)
     if said and not path.exists():
         note(f"{said} has no {name}")
+
+
+def _fill(part: Path, content: bytes, archive: str) -> None:
+    """Unpack ``content`` into the folder ``part``, and look whether it is the dataset that its name says."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            size = sum(file.file_size for file in packed.infolist() if check_name(file.filename, "it"))
+            if size > SMALL + LARGEST_RATIO * len(content):
+                raise DatasetError(f"it announces {size / 1e6:.0f} MB and has {len(content) / 1e6:.1f} MB")
+            packed.extractall(part)
+        problems, there = verify(part).problems, Dataset.open(part).recipe
+        if problems or archive_name(there) != Path(archive).name:
+            raise DatasetError(f"{problems[0].file} {problems[0].what}" if problems else
+                               f"it holds another dataset, of scene {there.scene} and seed {there.seed}")
+    except Exception as error:  # of a damaged file zipfile raises many kinds
+        if isinstance(error, OSError) and error.errno:  # of the disk
+            raise
+        raise DatasetError(f"archive {archive} is not taken: {plain(error).rstrip('.')}. Copy it again, "
+                           f"delete it, or set {VARIABLE} to nothing.") from error
