@@ -243,12 +243,13 @@ def test_a_forged_row_has_no_evidence_and_no_rank_of_a_method_that_ships(board, 
              for k, (share, said, more) in enumerate((
                  (0.2, "sealed", {"contents": contents_of("sbml", {})}), (0.21, "verified", {"contents": {}}),
                  (0.22, "verified", {"entry": rows.PREDICTIONS}), (0.5, "verified", resim),
-                 (0.1, "verified", {"method": "great", **own}), (0.1, "sealed", {"method": "a;reboot", **own})))]
+                 (0.1, "verified", {"method": "great", **own}), (0.1, "sealed", {"method": "a;reboot", **own}),
+                 (0.1, "sealed", {"method": "", **own}), (0.1, "sealed", {"method": "m" * 400, **own})))]
     found = leaderboard.collect(board.task, files)
     mine = {row.path.stem: row for row in found.rows if row.path in files}
-    assert [mine[k].mark == rows.CLAIMED for k in "012345"] == [True, True, True, True, False, False]
-    assert [mine[k].rank for k in "012345"] == [None, None, None, None, 1, None]
-    assert "means something to a shell" in mine["5"].mark
+    assert [mine[k].mark == rows.CLAIMED for k in "01234567"] == [True] * 4 + [False] * 4
+    assert [mine[k].rank for k in "01234567"] == [None, None, None, None, 1, None, None, None]
+    assert all("means something to a shell" in mine[k].mark for k in "567")
     assert {row.evidence for row in mine.values()} == {"open"}
     assert leaderboard.possible(found) == leaderboard.possible(board)
 

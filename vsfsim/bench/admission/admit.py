@@ -33,6 +33,8 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 
 OTHER_TEXT = "other text of the task"
+LONGEST_NAME = 100
+"""Characters of the name of a method, a preset or a parameter, which a table is as wide as."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +120,10 @@ def admit(result: Result, path: Path, task: Task, record: Record | None, referen
 def _other_task(result: Result, task: Task) -> str:
     if result.task_sha256 != task.sha256:
         return OTHER_TEXT
-    if any(name and shlex.quote(name) != name for name in (result.method, result.preset, *result.parameters)):
-        return "a name of it means something to a shell: give letters, digits and . _ - : +"
+    names = (result.method, result.preset or "none", *result.parameters)
+    if any(shlex.quote(name) != name or len(name) > LONGEST_NAME for name in names):
+        return (f"a name of it is empty, too long or means something to a shell: give up to {LONGEST_NAME} letters, "
+                f"digits and . _ - : +")
     if result.study:
         return "a study's, which learned from other objects than the task's"
     if (result.shots, result.observation) != (task.protocol.labels, task.observation.name):
