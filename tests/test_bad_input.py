@@ -87,6 +87,12 @@ def test_a_wrong_word_is_refused_and_leaves_nothing(vsfsim, toy, words, message)
     assert contents(toy) == before
 
 
+def test_a_method_that_fails_is_named_and_the_others_are_scored(vsfsim, toy):
+    out = vsfsim("evaluate", "--method", "toy_methods:Crashes", *EVALUATE[1:], "--seeds", 1, cwd=toy)
+    assert out.returncode == 2 and "error: toy_methods:Crashes: " in out.stderr
+    assert "rmse" in out.stdout and (toy / "results" / "toy-v1" / "toy_methods.Constant.json").is_file()
+
+
 @pytest.mark.parametrize("name", ["mock-0000-v0.h5", "mock-0002-v0.h5", "dataset.json"])
 def test_one_flipped_byte_of_a_dataset_is_never_scored(vsfsim, toy, name):
     path = toy / "toy" / name

@@ -99,19 +99,22 @@ def evaluate(task: TaskName,
     with Progress(" ".join(["evaluate", *names])) as progress:
         for one in evaluate_all(wanted, paths, dataset=dataset, again=tables, seeds=seeds, workers=workers,
                                 timeout=timeout, memory=memory, sandbox=sandbox, fan=fan, progress=progress):
-            if tables and one.failure is not None:
+            if one.failure is not None and tables and len(names) == 1:
                 raise one.failure
             if show and not tables:
                 print(f"{paths[one.path].stem:<28}{one.state}", flush=True)
             made.append(one)
+    failed = [one for one in made if one.result is None]
     if tables:
         results = [(one.result, one.path) for one in made if one.result is not None]
         numbers = [{**result.summary(), "written": str(path)} for result, path in results]
-        report(_scored(results, wanted), numbers[0] if len(numbers) == 1 else numbers, json)
+        if results:
+            report(_scored(results, wanted), numbers[0] if len(paths) == 1 else numbers, json)
+        if failed:
+            raise MethodError(" ".join(f"{paths[one.path].stem}: {one.failure}" for one in failed))
         return
     write_json([{"method": paths[one.path].method, "preset": paths[one.path].preset, "state": one.state,
                  "written": str(one.path)} for one in made], json)
-    failed = [one for one in made if one.result is None]
     if failed:
         raise MethodError(f"{len(failed)} of {len(made)} rows could not be made: "
                           + ", ".join(paths[one.path].stem for one in failed) + ". The messages are above; the same "
