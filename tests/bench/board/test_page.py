@@ -43,7 +43,7 @@ def test_the_page_is_whole_and_names_of_strangers_are_text(constant, task, tmp_p
     page = Page(text)
     assert set(page.links) == set(page.places) == {"#toy-v1", "#fewshot-shoes-v3-mini-v1"}
     assert "script" not in page.tags and "&lt;script&gt;" in text and "\u202e" not in text and "://" not in text
-    for words in ("rank corr.", "surface-gp (tuned)", "standard error over objects", "a name of it means"):
+    for words in ("rank corr.", "surface-gp (tuned)", "standard error over objects", "a name of it is empty"):
         assert words in text, words
 
 
