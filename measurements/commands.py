@@ -64,18 +64,6 @@ def trust(cells: AtLeastOne = 300, seed: Number = 0, limit: Annotated[float, typ
 
 
 @command(app)
-def unused(scene: Names = None, out: JsonFile = None) -> None:
-    """Functions of the physics that no shipped scene and no cell of the gate runs.
-
-    Args:
-        scene: Run this one alone; may be given again. Default: all, and the cells.
-    """
-    from measurements.unused import measure
-
-    _report(measure(scene or (), progress=step), out)
-
-
-@command(app)
 def gpu(scene: str, device: Device = "cuda:0", objects: Several = None, touches: Several = None,
         workers: Several = None, cores: Annotated[int | None, typer.Option(min=0)] = None,
         out: JsonFile = None) -> None:
