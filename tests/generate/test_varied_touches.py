@@ -79,6 +79,6 @@ def test_a_contact_that_is_noticed_late_is_a_deeper_press_than_recorded():
 
 def test_elements_of_each_touch_are_small_where_it_meets_the_object():
     for edge, resolves in ("", False), ("contact_edge = 0.5\n", True):
-        small = ("sphere = 0.015", "sphere = 0.004"), ("tilt =", f"{edge}tilt =")
+        small = ("sphere = 0.015", "sphere = 0.004"), ("tilt =", f"{edge}tilt ="), ("count = 4", "count = 2")
         for touch in EFFECTOR.make_view(_job(*small, mount_stiffness=None), device="cpu").touches:
             assert (touch.audit["mesh_error"].max() <= LIMIT) == resolves and touch.converged.all()
