@@ -21,7 +21,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_bodies, parse_press, parse_probe
 from vsfsim.core.scene_tables.dataset import ArmSpec, DatasetSpec, TouchSpec, parse_dataset, parse_touches
 from vsfsim.core.scene_tables.object import CameraSpec, ObjectSpec, parse_camera, parse_object
-from vsfsim.core.shape import MeshFile, ProbeShape
+from vsfsim.core.shape import MeshFile, Plane, ProbeShape
 from vsfsim.core.table import Vector, check_keys, ends, parse_toml, read_text, sample, typed
 
 Need = Literal["normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling"]
@@ -225,6 +225,9 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")
     probe, parts, carried = parse_probe(tree.get("probe"), path, touches="touches" in tree)
+    if touches.get("contact_edge") is not None and isinstance(probe, Plane):
+        raise SceneError(f"{path} [touches]: contact_edge makes elements small in a round contact, which a plane has "
+                         f"not. Take it out, or give [object] a finer resolution.")
     obstacles = parse_bodies(tree.get("obstacles", []), path, "obstacles", "pose")
     if (bodies := 1 + len(parts) + len(obstacles)) > MAX_BODIES:
         raise SceneError(f"{path}: probe, parts and obstacles are {bodies} rigid bodies; {MAX_BODIES} are allowed. "
