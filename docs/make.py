@@ -38,7 +38,7 @@ PICTURES = {
 """Words after `vsfsim` by picture; OUT, GIF and DATASET are places in a temporary folder."""
 MODULES = {"generate": "vsfsim.generate.run", "press": "vsfsim.press.command", "show": "vsfsim.generate.inspect",
            "growth": "vsfsim.view.growth", "tradeoff": "measurements.tradeoff"}
-MINUTES = {"solver": 10, "peers": 40, "tradeoff-foam-block": 30, "tradeoff-shoes-v3-mini": 60,
+MINUTES = {"solver": 10, "peers": 120, "tradeoff-foam-block": 30, "tradeoff-shoes-v3-mini": 60,
            "tradeoff-shoes-v2-punyo-mini": 60}
 """Of a CPU core, roughly; of any other product two."""
 
@@ -54,7 +54,7 @@ def digest(name: str) -> str:
     words = [word for line in PICTURES.get(name, [["tradeoff", name.removeprefix("tradeoff-")]
                                                   if name.startswith("tradeoff-") else [name]]) for word in line]
     modules = [MODULES[word] for word in words if word in MODULES] + ["vsfsim.view.growth"] * ("--method" in words)
-    modules = modules or [f"measurements.{make_measured.MODULES.get(name, name).replace('-', '_')}"]
+    modules = modules or [f"measurements.{name.replace('-', '_')}"]
     files = {path for module in modules for path in code(module)}
     files |= {path for word in words for path in (scenes().get(word), ROOT / word) if path and path.is_file()}
     files |= {*ROOT.glob("scenes/*.py"), *ROOT.glob("scenes/tables/*.toml"), *ROOT.glob("vsfsim/core/*.toml")}

@@ -7,7 +7,7 @@ in files that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --jso
 """
 
 import dataclasses
-import importlib.util
+import importlib
 import json
 import math
 import re
@@ -163,7 +163,7 @@ RESULTS = {one.__name__: one for one in (charts, boards, studies, claims, audits
 
 def measurement(name: str, **settings: Any) -> str:
     """The tables of `vsfsim measure NAME`."""
-    found = importlib.import_module(f"measurements.{MODULES.get(name, name)}").measure(progress=print, **settings)
+    found = importlib.import_module(f"measurements.{name}").measure(progress=print, **settings)
     return written(found, name, settings.get("tier"))
 
 
@@ -184,7 +184,7 @@ def recorded(name: str, files: list[Path]) -> str:
     records = [json.loads(file.read_text()) for file in files]
     if name.startswith("tradeoff-"):
         return tradeoff_table(name.removeprefix("tradeoff-"), MEASURED[name].keywords, records[0])
-    module = importlib.import_module(f"measurements.{MODULES.get(name, name)}")
+    module = importlib.import_module(f"measurements.{name}")
     found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
     return written(dataclasses.replace(found, **of), name, records[0]["settings"].get("tier"))
@@ -225,8 +225,7 @@ MEASURED: dict[str, partial[str]] = {
     "solver": partial(measurement, "solver"),
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
-    "peers": partial(measurement, "peers", tier="fem-coarse", folder=ROOT / "peers",
-                     here=importlib.util.find_spec("skfem") is not None)}
+    "peers": partial(measurement, "peers", tier="fem-coarse", folder=ROOT / "peers")}
 """Table by name of its file."""
 SHOWN = ("#", "method", "area", "0-shot", "5-shot")
 """Columns of the README's table."""
@@ -234,8 +233,6 @@ KINDS = tuple(f"{name} (tuned)" for name in ("surface-gp", "sbml", "cnp", "near-
 """Rows of the README's table, one of a kind."""
 TABLE = r"<!-- vsfsim leaderboard --task ([\w.-]+) -->"
 """The README's command above its table."""
-MODULES = {"peers": "indent"}
-"""Of measurements/, where its name is not that of the table."""
 
 
 def readme(text: str) -> str:

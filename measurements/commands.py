@@ -102,26 +102,20 @@ def promise(scene: Names = None, touches: AtLeastOne = 61, goal: list[float] | N
 
 
 @command(app)
-def peers(peer: Names = None, case: Names = None, tier: str = "fem", out: Path = Path("peers"), here: bool = False,
-          json: JsonFile = None) -> None:
-    """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own.
+def peers(case: Names = None, tier: str = "fem-coarse", out: Path = Path("peers"), json: JsonFile = None) -> None:
+    """Eight presses of known force here and by a direct Newton method, scikit-fem with CHOLMOD, on our tetrahedra.
 
     Args:
-        peer: Only this one; may be given again.
-        case: S1, S2 or foam; may be given again.
+        case: S1, S2, block of foam, box, ball, layered, foam or nu 0.49; may be given again.
         tier: Whose mesh all press: fem-coarse or fem.
-        out: Folder of their venvs, made on the first run.
-        here: Use this Python, which has the packages, in place of venvs.
+        out: Folder of what was made, which is not made again.
     """
-    from measurements.indent import CASES, PEERS, measure
+    from measurements.peers import CASES, measure
 
-    for name in peer or []:
-        one_of(name, PEERS, "--peer")
     for name in case or []:
         one_of(name, CASES, "--case")
     one_of(tier, ("fem-coarse", "fem"), "--tier")
-    found = measure(peer or (), case or (), tier=tier, folder=out, here=here, progress=step)
-    _report(found, json)
+    _report(measure(case or (), tier=tier, folder=out, progress=step), json)
 
 
 @command(app)

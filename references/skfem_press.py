@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 import skfem
-from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from references import hyperfoam
 
 STIFF = 300.0
 """Penalty over E / edge [-]."""
-MOST, TOLERANCE = 25, 1e-6
-"""Newton iterations of a step; unbalanced force over the contact force [-]."""
+MOST = 25
+"""Newton iterations of a step."""
 
 
 class NeoHooke:
@@ -61,7 +61,7 @@ class Foam:
 
 
 class Press:
-    """A body of quadratic elements under a rigid probe.
+    """A body under a rigid probe.
 
     Args:
         basis: of displacements, in (r, z) or (x, y, z).
@@ -72,14 +72,21 @@ class Press:
             derivative (d, d, ...) [1/m].
         penalty: pressure over overlap [Pa/m].
         parts: such parts that make the whole body.
+        tolerance: unbalanced force over the contact force at which Newton's method ends [-].
     """
 
+    stride = 0.5
+    """Part of the way between two origins that is tried first [-]."""
+
     def __init__(self, basis: skfem.Basis, face: skfem.FacetBasis, law: Any, held: np.ndarray,
-                 gap: Callable[..., Any], *, penalty: float, parts: float = 1.0):
+                 gap: Callable[..., Any], *, penalty: float, parts: float = 1.0,
+                 tolerance: float = 1e-6):
         self.basis, self.law, self.gap, self.penalty, self.parts = basis, law, gap, penalty, parts
+        self.tolerance = tolerance
         d, (m, q) = basis.mesh.dim(), basis.dx.shape
         self.u, self.free = basis.zeros(), np.setdiff1d(np.arange(basis.N), held)
-        self.dx, self.dofs, self.factor = basis.dx, basis.element_dofs.T, None
+        self.rate = basis.zeros()  # of u over the last step's way [-]
+        self.dofs, self.factor = basis.element_dofs.T, None
         self.shapes = np.zeros((m, q, 9, len(basis.basis)))
         for k, (one,) in enumerate(basis.basis):
             grad = np.broadcast_to(np.asarray(one.grad), (d, d, m, q))
@@ -93,8 +100,14 @@ class Press:
         self.values = np.stack([np.broadcast_to(np.asarray(one), (d, *face.dx.shape)) for (one,) in face.basis],
                                axis=-1).transpose(1, 2, 0, 3)  # (f, p, d, n)
         self.touching = face.element_dofs.T
-        self.pattern = [(np.repeat(n, n.shape[1], axis=1).ravel(), np.tile(n, n.shape[1]).ravel())
-                        for n in (self.dofs, self.touching)]
+        n, number = len(self.free), np.full(basis.N, -1)
+        number[self.free] = np.arange(n)
+        own = [number[part] for part in (self.dofs, self.touching)]
+        down = np.concatenate([np.repeat(part, part.shape[1], axis=1).ravel() for part in own])
+        along = np.concatenate([np.tile(part, part.shape[1]).ravel() for part in own])
+        self.inside = (down >= 0) & (along >= 0)
+        place, self.to = np.unique((along * n + down)[self.inside], return_inverse=True)
+        self.rows, self.starts = place % n, np.searchsorted(place, n * np.arange(n + 1))
 
     @staticmethod
     def _places(basis: Any) -> np.ndarray:
@@ -141,11 +154,8 @@ class Press:
         on = self.penalty * self.area * (distance < 0.0)
         block = on * (normal[:, None] * normal[None] + (distance * bend if turning else 0.0))
         face = np.einsum("defp,fpdn,fpek->fnk", block, self.values, self.values, optimize=True)
-        data, rows, columns = ([a, b] for a, b in zip((solid.ravel(), self.pattern[0][0], self.pattern[0][1]),
-                                                     (face.ravel(), self.pattern[1][0], self.pattern[1][1])))
-        whole = coo_matrix((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))),
-                           (self.basis.N, self.basis.N)).tocsr()
-        return whole[self.free][:, self.free].tocsc()
+        data = np.bincount(self.to, np.concatenate([solid.ravel(), face.ravel()])[self.inside], len(self.rows))
+        return csc_matrix((data, self.rows, self.starts), (len(self.free), len(self.free)))
 
     def direction(self, tangent: csc_matrix, right: np.ndarray) -> np.ndarray:
         """By conjugate gradients on the last factor while that is quick, else by a new factor."""
@@ -162,13 +172,15 @@ class Press:
             own, push = self.forces(u, origin)
             rest = (own + push)[self.free]
             left = float(np.abs(rest).sum() / max(np.abs(push).sum(), 1e-9))
-            if left < TOLERANCE:
+            if left < self.tolerance:
                 return u, left
             step = np.zeros_like(u)
             step[self.free] = self.direction(self.tangent(u, origin), -rest)
             if rest @ step[self.free] >= 0.0:
                 self.factor = None
                 step[self.free] = self.direction(self.tangent(u, origin, turning=False), -rest)
+                if rest @ step[self.free] >= 0.0:
+                    return None
             now, slope, size = self.energy(u, origin), float(rest @ step[self.free]), 1.0
             while not self.energy(u + size * step, origin) <= now + 1e-4 * size * slope + 1e-12 * abs(now):
                 size *= 0.5  # a change below the rounding of the energy passes
@@ -184,15 +196,15 @@ class Press:
 
     def curve(self, origins: np.ndarray) -> list[float]:
         """Forces [N] with the probe's origin at each of ``origins`` (t, d) [m], after one that does not touch."""
-        found, here, rate = [], origins[0], np.zeros_like(self.u)
+        found, here = [], origins[0]
         for aim in origins[1:]:
             whole = np.linalg.norm(aim - here)
-            done, part = 0.0, 0.5
+            done, part = 0.0, self.stride
             start = here
             while done < 1.0:
                 stride = min(part, 1.0 - done)
                 there = start + (done + stride) * (aim - start)
-                guess = self.u + stride * whole * rate
+                guess = self.u + stride * whole * self.rate
                 made = next((one for first in ([guess] if np.isfinite(self.energy(guess, there)) else []) + [self.u]
                              if (one := self.settle(first, there)) is not None), None)
                 if made is None:
@@ -200,7 +212,7 @@ class Press:
                     if part < 1e-3:
                         raise RuntimeError(f"no equilibrium at {there}")
                     continue
-                rate, self.u, done = (made[0] - self.u) / (stride * whole), made[0], done + stride
+                self.rate, self.u, done = (made[0] - self.u) / (stride * whole), made[0], done + stride
             here = aim
             found.append(self.lift(aim))
         return found

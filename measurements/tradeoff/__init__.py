@@ -55,8 +55,9 @@ class Tradeoff:
     """Kind of machine."""
 
     def sentences(self) -> list[str]:
-        """One a goal."""
-        return [front.sentence(goal, self.points, len(self.refused)) for goal in front.GOALS]
+        """One a goal, and what the scene's own setting does to the order of methods."""
+        return [*(front.sentence(goal, self.points, len(self.refused)) for goal in front.GOALS),
+                *(front.ranking(p) for p in self.points if p.own and p.flips)]
 
     def text(self) -> str:
         """For the terminal."""

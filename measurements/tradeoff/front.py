@@ -26,6 +26,11 @@ SHALLOW = 1.0 / 3.0
 """Share of the full depth up to which a frame is shallow [-]."""
 READINGS = 36_000
 """Of the dataset whose cost is told: frames of all its touches."""
+METHODS = 0.3 * (1.0 + 0.01 * np.arange(10.0))
+"""Errors, over that of predicting zero, of the ten methods whose order is looked at: within a tenth, and about those of
+the best methods on the board of shoes after five touches [-]."""
+OBJECTS, ASKED, DRAWS = 12, 4, 1000
+"""Objects of that board, touches of each that it asks, and boards that are drawn."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +59,46 @@ class Point:
     """Whether its tier shows what the scene needs."""
     own: bool = False
     """What the scene itself says."""
+    flips: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """What `flips` finds, of the touches whose limit is known; empty if a frame is lost."""
     front: bool = False
     """On the front: no point is cheaper and as exact."""
+
+
+def between(curve: Curve, values: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Readings (T, k) at other depths ``share`` (T,) than those of a curve, from its ``values`` (t, ...)."""
+    flat = np.concatenate([np.zeros((1, values[0].size)), values.reshape(len(values), -1)])
+    return np.stack([np.interp(share, np.append(0.0, curve.share), column) for column in flat.T], axis=1)
+
+
+def flips(read: Sequence[np.ndarray], exact: Sequence[np.ndarray], *, seed: int = 0) -> dict[str, float]:
+    """Share of the pairs of methods that a board of readings puts in another order than one of their limits.
+
+    A method knows the true forces of each object but for one factor, as if all its moduli were off by it. The factors
+    are normal about 1, and scaled so that on the limits the methods have exactly the errors `METHODS`, by the metric of
+    the boards, `rmse_ratio`. A board has `OBJECTS` of `ASKED` touches each, drawn from those that are given after these
+    were drawn with replacement themselves.
+
+    Args:
+        read, exact: forces (T,) of each touch, and their limits [N].
+        seed: of the draws.
+
+    Returns:
+        ``mean`` of `DRAWS` boards, and the bounds ``low`` and ``high`` of 95 % of them [-].
+    """
+    sums = np.array([[np.mean(v) for v in (f**2, f * (f - r), (f - r) ** 2, r**2)]
+                     for r, f in zip(read, exact, strict=True)])
+    rng, count = np.random.default_rng(seed), len(sums)
+    some = rng.integers(count, size=(DRAWS, count))
+    at = np.take_along_axis(some, rng.integers(count, size=(DRAWS, OBJECTS * ASKED)), axis=1)
+    square, cross, off, zero = np.moveaxis(sums[at].reshape(DRAWS, 1, OBJECTS, ASKED, 4), -1, 0)
+    factor = rng.standard_normal((DRAWS, len(METHODS), OBJECTS, 1))
+    factor *= METHODS[:, None, None] / np.abs(factor).mean(axis=2, keepdims=True)
+    error = np.sqrt(np.maximum(factor**2 * square + 2.0 * factor * cross + off, 0.0)).sum(axis=3)
+    error = (error / np.sqrt(zero).sum(axis=3)).mean(axis=2)
+    better, worse = np.triu_indices(len(METHODS), 1)
+    share = (error[:, better] > error[:, worse]).mean(axis=1)
+    return {"mean": float(share.mean()), **dict(zip(("low", "high"), np.percentile(share, [2.5, 97.5]).tolist()))}
 
 
 def distance(name: str, curve: Curve, share: np.ndarray, limit: Limit) -> dict[str, float] | None:
@@ -76,9 +119,7 @@ def distance(name: str, curve: Curve, share: np.ndarray, limit: Limit) -> dict[s
     if name == "stiffness":
         found, wanted, error = values[None], limit.value[None], limit.error[None]
     else:
-        at = np.append(0.0, curve.share)
-        flat = np.concatenate([np.zeros((1, values[0].size)), values.reshape(len(values), -1)])
-        found = np.stack([np.interp(share, at, column) for column in flat.T], axis=1)
+        found = between(curve, values, share)
         wanted, error = (v.reshape(len(share), -1) for v in (limit.value, limit.error))
     size = np.linalg.norm(wanted, axis=1)
     if not np.isfinite(found).all() or size.max(initial=0.0) == 0.0:
@@ -119,13 +160,15 @@ def point(setting: Setting, run: Run, limits: Sequence[Mapping[str, Limit]],
                 found.setdefault(name, []).append(d)
     channels = {name: {key: max(d[key] for d in all_touches) for key in all_touches[0]}
                 for name, all_touches in found.items()}
-    force, wanted = channels.get("force", {}), sum(limit["force"].known for limit in limits)
-    error = force.get("worst", 0.0) if len(found.get("force", ())) == wanted else math.nan
+    force, known = channels.get("force", {}), [k for k, limit in enumerate(limits) if limit["force"].known]
+    whole = len(found.get("force", ())) == len(known)
+    order = flips([between(run.curves[k], run.curves[k].readings["force"], shares[k])[:, 0] for k in known],
+                  [limits[k]["force"].value for k in known]) if whole else {}
     marked = np.concatenate([c.marked[(np.abs(np.nan_to_num(c.readings["force"])) > 0.0) | ~c.converged]
                              for c in run.curves])
     return Point(setting.key, setting.tier, run.cpu / len(run.curves), run.cpu / run.frames + once * run.once,
-                 run.once, float(marked.mean()) if len(marked) else 0.0, error, force.get("bar", 0.0), channels, shows,
-                 own)
+                 run.once, float(marked.mean()) if len(marked) else 0.0,
+                 force.get("worst", 0.0) if whole else math.nan, force.get("bar", 0.0), channels, shows, own, order)
 
 
 def _rms(values: Sequence[float] | np.ndarray) -> float:
@@ -164,17 +207,26 @@ def sentence(goal: float, points: Sequence[Point], missing: int = 0) -> str:
             f"{100 * best.error:.2g} % (limit known to {100 * best.bar:.2g} %)")
 
 
+def ranking(p: Point) -> str:
+    """Whether the readings of a point keep the order of methods."""
+    mean, low, high = (p.flips[key] for key in ("mean", "low", "high"))
+    return (f"ten methods 1 % apart: readings of {p.key} put {100 * mean:.0f} % of the pairs in another order than the "
+            f"limit (95 % of boards: {100 * low:.0f} to {100 * high:.0f} %, Kendall's tau {1 - 2 * high:.2f} to "
+            f"{1 - 2 * low:.2f})")
+
+
 def cells(points: Sequence[Point]) -> tuple[list[str], list[list[str]]]:
     """The head of the table and its rows, one a point: with a star on the front, = for the scene's own setting, a cross
     where the tier does not show what the scene needs."""
     others = [name for name in CHANNELS if name != "force" and any(name in p.channels for p in points)]
     head = ["", "setting", "CPU s/touch", "once s", "marked %", "rms %", "worst %", "bar %", "shallow %", "full %",
-            *(f"{name} {CHANNELS[name]}" for name in others)]
+            "flips %", *(f"{name} {CHANNELS[name]}" for name in others)]
     rows = []
     for p in points:
         mark = "*" * p.front + "x" * (not p.shows) + "=" * p.own
         force = {**dict.fromkeys(("rms", "shallow", "full"), math.nan), **p.channels.get("force", {})}
         errors = [100.0 * v for v in (force["rms"], p.error, p.bar, force["shallow"], force["full"])]
+        errors.append(100.0 * p.flips.get("mean", math.nan))
         for name in others:
             unit = 180.0 / math.pi if CHANNELS[name] == "deg" else 100.0
             errors.append(unit * p.channels.get(name, {}).get("worst", math.nan))

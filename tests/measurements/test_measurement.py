@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measurements import gpu, indent
+from measurements import gpu, peers
 from measurements.measurement import Column, Measurement, Table
 from vsfsim.core.errors import VsfsimError
 
@@ -51,11 +51,38 @@ def test_an_installed_package_without_its_repository_says_where_the_scripts_are(
     assert out.returncode == 2 and "needs a checkout of the repository" in out.stderr and "measurements/" in out.stderr
 
 
-def test_a_peers_errors_are_shares_of_the_reference():
-    made = {"forces": [1.1, 1.8], "balance": [1e-6, 1e-7], "seconds": [1.0, 3.0], "tets": 8, "said": ""}
-    found = indent.compared(made, np.array([0.001, 0.005]), np.array([1.0, 2.0]))
-    assert found["at_5"] == pytest.approx(-0.1) and found["at_1"] == found["worst"] == pytest.approx(0.1)
-    assert found["rms"] == pytest.approx(0.1) and found["seconds"] == 2.0 and found["balance"] == 1e-6
+def test_a_peers_errors_are_shares_of_the_reference_and_its_set_up_is_paid():
+    made = {"forces": [1.1, 1.8], "balance": [1e-6, 1e-7], "seconds": [1.0, 3.0], "once": 2.0, "unknowns": 8}
+    found = peers.compared(made, np.array([1.0, 2.0]))
+    assert found["full"] == pytest.approx(-0.1) and found["first"] == found["worst"] == pytest.approx(0.1)
+    assert found["rms"] == pytest.approx(0.1) and found["seconds"] == 6.0 and found["balance"] == 1e-6
+    cut = peers.compared(made, np.array([1.0, 2.0, 3.0]))
+    assert cut["full"] is None and "2 of 3 depths" in cut["said"]
+    assert "no equilibrium" in peers.compared({"forces": []}, np.array([1.0]))["said"]
+
+
+def test_every_case_has_a_reference_and_the_five_were_no_part_of_a_fit():
+    for case, (cell, file) in peers.CASES.items():
+        depths, force, unsure = peers.known(case)
+        assert depths[-1] == pytest.approx(cell.depth) and (np.diff(force) > 0.0).all() and unsure < 0.03
+        assert (file == "presses") == (cell.body != ("box", 0.1, 0.1, 0.05))  # S1's, on which constants were fitted
+
+
+def test_a_direct_solver_finds_the_equilibrium_of_this_one_on_a_round_body():
+    """On the same curved tetrahedra, without the local indentation; linear ones of the same corners are stiffer."""
+    pytest.importorskip("cvxopt")
+    depth = peers.known("ball")[0][-1:]
+    own = peers.ours("ball", "fem-coarse", False, depth)
+    quadratic, linear = (peers.theirs("ball", "fem-coarse", peer, depth) for peer in peers.PEERS[:2])
+    assert quadratic["forces"] == pytest.approx(own["forces"], rel=0.01)  # observed 0.4 %
+    assert linear["forces"][0] > 1.2 * quadratic["forces"][0] and quadratic["unknowns"] == own["unknowns"]
+    assert max(quadratic["balance"]) < 1e-3 and min(own["once"], quadratic["once"]) > 0.0
+
+
+def test_without_a_peers_packages_the_command_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr(peers.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(VsfsimError, match="pip install scikit-fem cvxopt"):
+        peers.measure(folder=tmp_path)
 
 
 def test_a_gpu_is_compared_with_cores_and_a_cpu_is_refused(device):

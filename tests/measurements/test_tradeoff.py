@@ -76,6 +76,17 @@ def test_the_front_and_the_sentences():
     assert "is off by 1 %" in sentence(0.008, [p for p in POINTS if p.key != "e"])
 
 
+def test_the_order_of_methods_can_be_lost():
+    """Readings that are right keep every pair; the same error in all flips some, a random one of 30 % nearly half."""
+    exact = [k * np.array([0.5, 2.0, 5.0]) for k in range(1, 9)]
+    wrong = np.random.default_rng(0).normal(1.0, 0.3, 8)
+    found = [front.flips([f * w for f, w in zip(exact, factors)], exact) for factors in (
+        np.full(8, 1.0), np.full(8, 1.01), np.full(8, 1.1), wrong)]
+    assert found[0] == {"mean": 0.0, "low": 0.0, "high": 0.0}
+    assert 0.03 < found[1]["mean"] < 0.1 < 0.3 < found[2]["mean"] < 0.5 and 0.35 < found[3]["mean"] < 0.55
+    assert all(one["low"] <= one["mean"] <= one["high"] for one in found)
+
+
 class Imagined:
     """Touches whose force is known in closed form: F (1 + k h^2) over the square of the depth. Of elements of over
     18 mm every frame is marked."""
@@ -118,7 +129,10 @@ def test_a_sweep_goes_on_where_it_was_cut(tmp_path, monkeypatch):
     errors = {p.key: p.error for p in whole.points}
     assert errors["fem-coarse, 10 mm"] == pytest.approx(0.03, rel=0.01)
     assert [p.key for p in whole.points if p.own] == ["fem-coarse, 10 mm"]
-    assert errors["linear, 10 mm"] > errors["fem-coarse, 13 mm"] and len(whole.sentences()) == len(front.GOALS)
+    assert errors["linear, 10 mm"] > errors["fem-coarse, 13 mm"] and len(whole.sentences()) == len(front.GOALS) + 1
+    flips = {p.key: p.flips["mean"] for p in whole.points}
+    assert flips["fem-coarse, 7.69 mm"] < flips["fem-coarse, 10 mm"] < flips["linear, 10 mm"]
+    assert f"put {100 * flips['fem-coarse, 10 mm']:.0f} % of the pairs" in whole.sentences()[-1]
     assert whole.points[0].channels["direction"]["worst"] == pytest.approx(0.0, abs=1e-6)
 
     def refuse(setting):
