@@ -16,14 +16,14 @@ from vsfsim.core.system.content import file_sha256, files_sha256, named_files, n
 
 METHOD, SCORER = "the method", "the harness"
 """Names of the two digests in `contents_of`."""
-_ANSWERS = ("vsfsim.baselines", "vsfsim.vsf", "vsfsim.physics", "vsfsim.generate", "vsfsim.robot", "vsfsim.sensing",
-            "vsfsim.active", "vsfsim.core", "vsfsim.bench.observations")
+_ANSWERS = ("vsfsim.baselines", "vsfsim.vsf", "vsfsim.physics", "vsfsim.generate", "vsfsim.robot",
+            "vsfsim.sensing", "vsfsim.active", "vsfsim.core", "vsfsim.bench.observations")
 _PLUMBING = ("vsfsim.core.shelf", "vsfsim.core.system", "vsfsim.core.errors", "vsfsim.core.extras",
              "vsfsim.core.plain_text", "vsfsim.core.text_table")
 """Modules of vsfsim, with all below them, that a method's answers pass through, and those of them that answer nothing:
 the particle model and the solver count, a message does not."""
-_SCORES = ("inclusions", "metrics", "noise", "observations", "protocol", "task", "trials.answers", "trials.score",
-           "trials.training")
+_SCORES = ("inclusions", "metrics", "noise", "observations", "protocol", "task", "trials.answers",
+           "trials.score", "trials.training")
 """Modules of `vsfsim.bench` that decide what is asked and what an answer scores."""
 
 
@@ -60,8 +60,8 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
                           f"files stay as they are, and can be read.") from error
     out |= {text: file_sha256(path) for text, path in named.items()}
     if bad := [text for text in out if text.encode(errors="replace").decode() != text]:
-        raise MethodError(f"{name} reads {bad[0]!a}. The name is not UTF-8, so that no result can hold it. Rename the "
-                          f"file.")
+        raise MethodError(f"{name} reads {bad[0]!a}. The name is not UTF-8, so that no result can "
+                          f"hold it. Rename the file.")
     return out
 
 
@@ -87,16 +87,18 @@ def files_of(name: str, folder: str | Path = "") -> dict[str, Path]:
     """The files that `method_sha256` is of: modules by their names, and all other files of the method's packages."""
     files = source_files(_module(name), folder or os.getcwd(), of_vsfsim=_passes)
     for package in filter(Path.is_dir, packages_of(files)):
-        files |= {f"{package.name}/{path.relative_to(package)}": path for path in sorted(package.rglob("*"))
-                  if path.is_file() and path.suffix != ".pyc"}
+        files |= {f"{package.name}/{path.relative_to(package)}": path
+                  for path in sorted(package.rglob("*"))
+                  if path.is_file() and path.parent.name != "__pycache__"}
     return files
 
 
 def packages_of(files: Mapping[str, Path]) -> list[Path]:
     """The folders of the packages, besides vsfsim, that modules by name belong to, and the files of other modules."""
     others = {name: path for name, path in files.items() if name.partition(".")[0] != "vsfsim" and "/" not in name}
-    return list(dict.fromkeys(Path(*path.parts[:len(path.parts) - name.count(".") - (path.name == "__init__.py")])
-                              for name, path in others.items()))
+    return list(dict.fromkeys(
+        Path(*path.parts[:len(path.parts) - name.count(".") - (path.name == "__init__.py")])
+        for name, path in others.items()))
 
 
 def imports_of(name: str, folder: str | Path = "") -> dict[str, Path]:

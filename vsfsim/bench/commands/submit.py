@@ -63,8 +63,8 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     install = shlex.join(["pip", "install", f"{package['name']}=={package['version']}"]) if (
         package.get("name") not in (None, "", "vsfsim")) else ""
     page = filled("pull_request.md", result=result, task=task, place=place, file=str(target.relative_to(out)),
-                  score_table=Markup(score_table(replace(result, scores=row.scores), task.primary)), install=install,
-                  again=command_of(result, whole=True), findings=checks)
+                  score_table=Markup(score_table(replace(result, scores=row.scores), task.primary)),
+                  install=install, again=command_of(result, whole=True), findings=checks)
     write_atomic(text, f"{page}\n".encode(), error=TaskError)
     words = (f"{told}\n\n{place}\n\nrow: {target}\npull request: {text}\n\nCopy the folder leaderboard/ of {out} into "
              f"a fork of the repository, answer the two questions at the end of the text, and send it.")
@@ -92,8 +92,8 @@ def _findings(result: Result, task: Task, row: Row) -> Iterator[tuple[str, str, 
     for what, made_by in (("it was scored", result.made_by), ("its data was made", result.dataset_made_by)):
         commit = str(made_by.get("commit") or "")
         yield f"{what} by committed code", told, f"vsfsim had changes over {commit[:7]}" if "+" in commit else ""
-    yield ("its data has the record's bits", told, "the dataset was made on a machine that rounds otherwise"
-           if row.other_bits else "")
+    yield ("its data has the record's bits", told,
+           "the dataset was made on a machine that rounds otherwise" if row.other_bits else "")
 
 
 def _other_source(result: Result) -> str:

@@ -24,15 +24,18 @@ _BIND, _REC, _PRIVATE, _DETACH = 4096, 16384, 1 << 18, 2
 _MOUNT_SETATTR, _RECURSIVE, _RDONLY, _NOSUID = 442, 0x8000, 1, 2
 _DUMPABLE, _SECCOMP, _NO_NEW_PRIVILEGES = 4, 22, 38
 _NOBODY = 65534
-_CALLS = {"x86_64": (0xC000003E, 41, (248, 249, 250, 300, 327, 425), 72, (73, 221, 254)),
-          "aarch64": (0xC00000B7, 198, (217, 218, 219, 262, 286, 425), 25, (32, 223, 27))}
-# Of a machine, the number of its system calls' table, and in it socket; what is refused: add_key, request_key, keyctl,
-# fanotify_init, preadv2 and io_uring_setup; fcntl; what does nothing: flock, fadvise64 and inotify_add_watch. The
-# kernel's keyrings are in no namespace of root's, and sockets to the host of a virtual machine (AF_VSOCK) in none.
-# Locks, leases, hints and watches are of the file that all trials see, and so are its pages in memory, which advice
-# drops and preadv2 tells. A ring makes calls that no filter sees.
-_VSOCK, _X32 = 40, 0x40000000
-# The family of these sockets, and the least number of a call of x86_64's second table.
+_CALLS = {"x86_64": (0xC000003E, 41, 53, 56, 272, 72, (248, 249, 250, 300, 327, 451, 206, 425, 103), (73, 221, 254)),
+          "aarch64": (0xC00000B7, 198, 199, 220, 97, 25, (217, 218, 219, 262, 286, 451, 0, 425, 116), (32, 223, 27))}
+# Of a machine, the number of its system calls' table, and in it socket, socketpair, clone, unshare and fcntl;
+# what is refused: add_key, request_key, keyctl, fanotify_init, preadv2, cachestat, io_setup, io_uring_setup and syslog;
+# what does nothing: flock, fadvise64 and inotify_add_watch. The kernel's keyrings are in no namespace of root's; its
+# log, which keeps the name and address of what crashed, is in none, and neither are sockets to the host of a virtual
+# machine, the algorithms that a socket of the cryptographic family leaves in the kernel, and the modules that the first
+# socket of many a family loads. Locks, leases, hints and watches are of the file that all trials see, and so are its
+# pages in memory, which advice drops and preadv2, cachestat and asynchronous reads tell. A ring makes calls that no
+# filter sees. Whoever has users of his own may mount groups of processes, and load modules again.
+_CLONE3, _UNIX, _X32 = 435, 1, 0x40000000
+# clone3, whose flags no filter sees; the one family of sockets; the least number of a call of x86_64's second table.
 _ON_FILES = (6, 7, 37, 38, 1024, 1026, 1036)
 # Of fcntl: locks of a process and of an open file, set and waited for; a lease, a watch and the hint of a file.
 
@@ -57,7 +60,8 @@ def enter(given: dict[str, Any]) -> None:
 
     Args:
         given: ``root``, an empty folder; ``shown``, files and folders by absolute path; ``links``, pairs of a path and
-        what it points to; ``hidden``, folders that appear empty; ``size``, the most bytes in /tmp.
+        what it points to; ``emptied``, folders of which is seen only what is shown in them; ``hidden``, folders that
+        appear empty; ``size``, the most bytes in /tmp.
 
     Raises:
         OSError: the system refuses; the message says which step.
@@ -75,12 +79,11 @@ def enter(given: dict[str, Any]) -> None:
                          ("/dev/stdout", "/proc/self/fd/1"), ("/dev/stderr", "/proc/self/fd/2")):
         os.makedirs(os.path.dirname(root + path), exist_ok=True)
         os.symlink(target, root + path)
-    for path in sorted(given["shown"]):
+    for path in sorted({*given["shown"], *given["emptied"]}):
         with contextlib.suppress(FileExistsError):  # it lies in a folder that is shown
-            _show(path, root + path)
+            (_hide if path in given["emptied"] else _show)(path, root + path)
     for path in given["hidden"]:
-        if os.path.isdir(root + path):
-            _mount("tmpfs", root + path, "tmpfs", 0, "mode=755,size=64k")
+        _hide(path, root + path)
     _set(root, _RDONLY, 0, _RECURSIVE)
     _set(f"{root}/tmp", 0, _RDONLY)
     for name in ("shm", "work"):
@@ -92,6 +95,11 @@ def enter(given: dict[str, Any]) -> None:
     _check(libc.umount2(b".", _DETACH), "umount")
     os.chdir("/tmp/work")
     _lose_privileges(libc)
+
+
+def _hide(_: str, target: str) -> None:
+    if os.path.isdir(target):
+        _mount("tmpfs", target, "tmpfs", 0, "mode=755,size=64k")
 
 
 def _show(path: str, target: str) -> None:
@@ -126,15 +134,18 @@ def _lose_privileges(libc: ctypes.CDLL) -> None:
             libc.prctl(_DUMPABLE, 1, 0, 0, 0)
     _check(libc.capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()), "capset")
     if platform.machine() in _CALLS:
-        table, socket, refused, control, shared = _CALLS[platform.machine()]
-        load, equal, at_least = 0x20, 0x15, 0x35
-        # see seccomp(2): the table's number, the call's number, the family of a socket, what fcntl is asked
+        table, socket, pair, clone, unshare, control, refused, shared = _CALLS[platform.machine()]
+        load, equal, at_least, has = 0x20, 0x15, 0x35, 0x45
+        # see seccomp(2): the table's number, the call's, the family of a socket, flags, what fcntl is asked
         rules = [(load, 4), (equal, table, 0, "refuse"), (load, 0), (at_least, _X32, "refuse", 0),
                  *((equal, call, "refuse", 0) for call in refused), *((equal, call, "ignore", 0) for call in shared),
-                 (equal, socket, 0, 2), (load, 16), (equal, _VSOCK, "refuse", "allow"),
+                 (equal, _CLONE3, "unknown", 0), (equal, socket, 1, 0), (equal, pair, 0, 2),
+                 (load, 16), (equal, _UNIX, "allow", "refuse"),
+                 (equal, clone, 1, 0), (equal, unshare, 0, 2), (load, 16), (has, _USER, "refuse", "allow"),
                  (equal, control, 0, "allow"), (load, 24), *((equal, what, "ignore", 0) for what in _ON_FILES)]
-        # ends: allow, refuse with EPERM, say that it was done; a jump counts the steps that it leaves out
-        ends = {"allow": 0x7FFF0000, "refuse": 0x50001, "ignore": 0x50000}
+        # ends: allow, refuse with EPERM, say that it was done, or that there is no such call, so that libraries make
+        # another (ENOSYS); a jump counts the steps that it leaves out
+        ends = {"allow": 0x7FFF0000, "refuse": 0x50001, "ignore": 0x50000, "unknown": 0x50026}
         place = {name: len(rules) + k for k, name in enumerate(ends)}
         steps = [(code, *(place[to] - k - 1 if to in place else to for to in jumps or (0, 0)), value)
                  for k, (code, value, *jumps) in enumerate(rules)] + [(0x06, 0, 0, value) for value in ends.values()]
@@ -147,8 +158,8 @@ def _set(path: str, on: int, off: int, flags: int = 0) -> None:
     """Change the attributes of a mount, see mount_setattr(2)."""
     attributes = (ctypes.c_uint64 * 4)(on, off, 0, 0)
     _check(ctypes.CDLL(None, use_errno=True).syscall(
-        ctypes.c_long(_MOUNT_SETATTR), ctypes.c_long(-100), os.fsencode(path), ctypes.c_ulong(flags), attributes,
-        ctypes.c_ulong(32)), f"mount_setattr of {path}")
+        ctypes.c_long(_MOUNT_SETATTR), ctypes.c_long(-100), os.fsencode(path),
+        ctypes.c_ulong(flags), attributes, ctypes.c_ulong(32)), f"mount_setattr of {path}")
 
 
 def _mount(source: str | None, target: str, kind: str | None, flags: int, data: str | None = None) -> None:
@@ -169,7 +180,7 @@ def main() -> int:
         leave()
         if os.fork() == 0:
             try:
-                enter({"root": root, "shown": ["/usr"], "links": [], "hidden": [], "size": "1m"})
+                enter({"root": root, "shown": ["/usr"], "links": [], "emptied": [], "hidden": [], "size": "1m"})
                 os._exit(0 if os.getpid() == 1 and os.path.isdir("/proc/self") else 1)
             finally:
                 os._exit(1)

@@ -139,12 +139,15 @@ def _begin(given: dict[str, Any]) -> None:
     try:
         prctl(_DEATH_SIGNAL, signal.SIGKILL)  # it ends with the process that watches
         os.setsid()
+        with contextlib.suppress(OSError):  # where memory is short the kernel ends this process before the user's
+            Path("/proc/self/oom_score_adj").write_text("1000")
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)
         if given["box"] is None:
             prctl(_DUMPABLE, 1)
             os.chdir(given["folder"])
         else:
             box.enter({**given["box"], "root": given["folder"]})
+            given["box"].clear()  # it names the dataset, and a method can look through the frames of its callers
             os.close(0)
             os.open("/dev/null", os.O_RDONLY)  # in the container it is read-only; the one from outside keeps a time
         os.environ.update(given["environment"])
@@ -259,10 +262,10 @@ class _Server:
 
     def do_state(self, _: Any) -> Reply:
         cache = Path(os.environ["XDG_CACHE_HOME"])
-        cached = {str(path.relative_to(cache)): path.read_bytes() for path in sorted(cache.rglob("*"))
-                  if path.is_file() and not path.is_symlink()}
-        return Reply({"host": getattr(self.method, "trials_on_host", False) is True, "opened": sorted(self.opened)},
-                     blob=pickle.dumps((packed(self.method), cached)))
+        cached = {str(path.relative_to(cache)): path.read_bytes()
+                  for path in sorted(cache.rglob("*")) if path.is_file() and not path.is_symlink()}
+        return Reply({"host": getattr(self.method, "trials_on_host", False) is True,
+                      "opened": sorted(self.opened)}, blob=pickle.dumps((packed(self.method), cached)))
 
     # ------------------------------------------------------------------ one trial
 
@@ -290,13 +293,13 @@ class _Server:
     def do_stiffness(self, points: np.ndarray) -> Reply:
         given = self.method.stiffness(points)
         if getattr(given, "mean", None) is None:
-            raise MethodError(f"stiffness must return an Estimate with a mean and a std; it returned "
-                              f"{type(given).__name__}.")
+            raise MethodError(f"stiffness must return an Estimate with a mean and a std; it "
+                              f"returned {type(given).__name__}.")
         return Reply(arrays=(numbers(given.mean, "stiffness has a mean"),))
 
     def do_locate(self, payload: Any) -> Reply:
-        return Reply(arrays=(numbers(self.method.locate(*payload), "locate must return a transform (4, 4), and not "
-                                                                    "one"),))
+        return Reply(arrays=(numbers(self.method.locate(*payload), "locate must return a transform "
+                                                                    "(4, 4), and not one"),))
 
 
 def private_caches(folder: Path, kernels: str) -> None:

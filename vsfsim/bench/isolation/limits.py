@@ -55,8 +55,8 @@ class Isolation:
             raise MethodError(f"--sandbox is '{self.sandbox}'. Allowed: {', '.join(SANDBOXES)}.")
         if not works(self.sandbox):
             raise MethodError(f"--sandbox {self.sandbox} does not work here: it needs Linux 5.12 or later and the "
-                              f"right to make namespaces. Leave --sandbox away for the strongest one that works: "
-                              f"{strongest()}.")
+                              f"right to make namespaces. Leave --sandbox away for the strongest "
+                              f"one that works: {strongest()}.")
         for name, value in (("--timeout", self.timeout), ("--memory", self.memory)):
             if value is not None and not 0.0 < value < 1e9:
                 raise MethodError(f"{name} is {value}; it must be greater than 0.")
@@ -109,8 +109,8 @@ def environment(given: Mapping[str, str]) -> dict[str, str]:
 
 
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt", "/nix", "/gnu", "/sys")
-_DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*", "/dev/dri",
-            "/dev/kfd", "/dev/dxg")
+_DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*",
+            "/dev/dri", "/dev/kfd", "/dev/dxg")
 
 
 def kernels() -> str:
@@ -119,8 +119,8 @@ def kernels() -> str:
     return os.path.realpath(os.environ.get("WARP_CACHE_PATH") or os.path.join(cache, "warp"))
 
 
-def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], hidden: Iterable[Path],
-           given: Mapping[str, str]) -> dict[str, Any]:
+def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str],
+           hidden: Iterable[Path], given: Mapping[str, str]) -> dict[str, Any]:
     """The operand of `vsfsim.bench.isolation.box.enter`, without its root and the size of its folder.
 
     Args:
@@ -132,19 +132,27 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], h
     installed = [path for path in search if Path(path).name in ("site-packages", "dist-packages")
                  or any(Path(path).glob("*.dist-info"))]
     # the method's own, and a package that is installed "editable", which lies where no folder of installed packages is
-    sources = packages_of({**imports_of(name), **files_of(name)})
+    own = packages_of(files_of(name))
+    sources = [*packages_of(imports_of(name)), *own]
     named = [*named_files(dict(parameters), here).values(), *named_folders(dict(parameters), here).values()]
     weights = [given["VSFSIM_DINOV2"]] if "VSFSIM_DINOV2" in given else []
     weights += [os.path.join(given[key], "hub") for key in ("TORCH_HOME", "HF_HOME")]
-    wanted = [*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, *installed, *vsfsim.__path__, folder("baselines"),
-              *sources, *named, *weights, kernels(),
-              *filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))]
+    system = {*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix}
+    wanted = [*system, *installed, *vsfsim.__path__, folder("baselines"), *sources, *named,
+              *weights, kernels(), *filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))]
     apart = {"/", os.path.expanduser("~"), "/tmp", "/home", *(path for path in _SYSTEM if os.path.islink(path))}
     paths = {form(path) for path in map(str, wanted) for form in (os.path.realpath, os.path.abspath)} - apart
+    # of a method's own no digest is made, and it need not be of the source beside it
+    bytecode = [path for package in own for path in package.rglob("__pycache__")]
     # in a wheel they lie inside the package
-    shipped = [Path(vsfsim.__path__[0], name) for name in ("leaderboard", "scenes", "tasks")]
+    shipped = [folder(name) for name in ("leaderboard", "scenes", "tasks")]
+    # the working folder, the repository and archives of datasets, where they lie in the system's, as in /opt
+    users = map(os.path.realpath, (here, Path(vsfsim.__path__[0]).parent, os.environ.get("VSFSIM_ARCHIVES", here)))
+    emptied = [one for one in users if max((path for path in paths if f"{one}/".startswith(f"{path}/")), key=len,
+                                           default=one) in system - {one}]
     devices = {path for pattern in _DEVICES for path in glob.glob(pattern)}
     return {"shown": sorted({path for path in paths if os.path.exists(path)
                              and not path.startswith(("/proc", "/dev"))} | devices),
             "links": [(path, os.readlink(path)) for path in _SYSTEM if os.path.islink(path)],
-            "hidden": [os.path.realpath(path) for path in (*hidden, *shipped) if path.is_dir()]}
+            "hidden": list(map(os.path.realpath, filter(Path.is_dir, (*hidden, *shipped, *bytecode)))),
+            "emptied": emptied}

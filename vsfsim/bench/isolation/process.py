@@ -99,8 +99,9 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
     def __init__(self, name: str, parameters: Mapping[str, Any], isolation: Isolation, log: Path, *,
                  hidden: Sequence[Path] = ()):
         if os.name == "nt":
-            raise MethodError("`vsfsim evaluate` runs a method in a process of its own in ways that Windows does not "
-                              "have. Use it under WSL, or write predictions to a file and use `vsfsim lab score`.")
+            raise MethodError("`vsfsim evaluate` runs a method in a process of its own in ways that "
+                              "Windows does not have. Use it under WSL, or write predictions to a "
+                              "file and use `vsfsim lab score`.")
         self.name, self.parameters, self.isolation, self.log = name, dict(parameters), isolation, log.absolute()
         self.ships = name in methods() and methods()[name].value.startswith("vsfsim.")
         device = self.parameters.get("device", "cpu" if self.ships else None)  # of those that ship, a cpu if none given
@@ -110,16 +111,17 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         named = named_folders(self.parameters, "") if isolation.sandbox != "process" else {}
         for text, path in named.items():
             if inside := [one for one in hidden if one.is_dir() and one.is_relative_to(path.resolve())]:
-                raise MethodError(f"a parameter of {name} names the folder '{text}', in which {inside[0]} lies, which "
-                                  f"no method may see. Name one that holds what the method needs and nothing else.")
+                raise MethodError(f"a parameter of {name} names the folder '{text}', in which "
+                                  f"{inside[0]} lies, which no method may see. Name one that holds "
+                                  f"what the method needs and nothing else.")
         self.folders = tuple(named)
         """Folders that parameters name, whose files no process of the method can change."""
         self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
         # the working folder only where vsfsim itself lies in it: its other modules are the user's
         self._search = [path for path in dict.fromkeys(map(os.path.abspath, filter(None, sys.path)))
                         if path != os.getcwd() or path == str(Path(vsfsim.__path__[0]).parent)]
-        self._places = {"size": LARGEST_FOLDER, **places(name, self.parameters, search=self._search, hidden=hidden,
-                                                         given=environment(os.environ))}
+        self._places = {"size": LARGEST_FOLDER, **places(
+            name, self.parameters, search=self._search, hidden=hidden, given=environment(os.environ))}
         self._kernels = kernels()
         if isolation.sandbox == "process":  # which could write through links to the user's
             self._kernels = str(self._folder / "kernels")
@@ -166,8 +168,8 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
             except (KeyError, TypeError, ValueError) as error:
                 raise MethodError(f"the process of {self.name} described itself with something unreadable.") from error
         if failed:
-            raise MethodError(f"{self.name} does not keep the contract of a method: {failed} `vsfsim check "
-                              f"{self.name}` tests all of it.")
+            raise MethodError(f"{self.name} does not keep the contract of a method: {failed} "
+                              f"`vsfsim check {self.name}` tests all of it.")
         return said
 
     def learn(self, specimens: Sequence[Specimen], *, seed: int | None,
@@ -185,11 +187,12 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         # a container's own files are no one else's, whatever lies here at their paths
         shown = tuple(f"{path}/" for path in ([""] if self.isolation.sandbox == "process" else self._places["shown"]))
         said = reply.head.get("opened")
-        names = [os.fsdecode(name) for name in (said if isinstance(said, list) else ()) if isinstance(name, bytes)]
-        opened = tuple(name for name in names if not name.startswith(("/proc/", "/sys/")) and not name.endswith(".pyc")
-                       and f"{name}/".startswith(shown))
-        return Learned(reply.blob, reply.head.get("host") is True, opened, process.seconds["meta_fit"],
-                       given)
+        names = [os.path.normpath(os.fsdecode(name))
+                 for name in (said if isinstance(said, list) else ()) if isinstance(name, bytes)]
+        opened = tuple(name for name in names if not name.startswith(("/proc/", "/sys/"))
+                       and "/__pycache__/" not in name and f"{name}/".startswith(shown))
+        return Learned(reply.blob, reply.head.get("host") is True, opened,
+                       process.seconds["meta_fit"], given)
 
     @contextmanager
     def trial(self, learned: Learned) -> Iterator[Process]:
@@ -208,8 +211,9 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         self.processes.add(process)
         try:
             found = name or (self.name if ":" in self.name else methods()[self.name].value)
-            process.about = process.ask("find", {"name": found, "parameters": self.parameters, "folder": os.getcwd()},
-                                        "its import", limit=None if limit is None else limit + _IMPORT).head
+            given = {"name": found, "parameters": self.parameters, "folder": os.getcwd()}
+            process.about = process.ask("find", given, "its import",
+                                        limit=None if limit is None else limit + _IMPORT).head
             yield process
         finally:
             self.processes.discard(process)
@@ -239,11 +243,12 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
             # Of one that ships, the contract's check loads its kernels, and compiles them for the user's own folder.
             check = {"name": self.name, "parameters": self.parameters} if (
                 self.ships and self.hides and not named_files(self.parameters, "")) else None
-            given = {"search": self._search, "control": theirs.fileno(), "warm": warm, "check": check,
-                     "box": self._places if self.isolation.sandbox != "process" else None, "cache": self._kernels,
-                     "folder": str(self._folder), "most": LARGEST_LOG, "memory": self.isolation.memory}
-            variables = {**environment(os.environ), **({"CUDA_VISIBLE_DEVICES": ""} if hide else {}),
-                         "WARP_CACHE_PATH": kernels()}
+            given = {"search": self._search, "control": theirs.fileno(), "warm": warm,
+                     "box": self._places if self.isolation.sandbox != "process" else None,
+                     "cache": self._kernels, "folder": str(self._folder), "check": check,
+                     "most": LARGEST_LOG, "memory": self.isolation.memory}
+            variables = {**environment(os.environ), "WARP_CACHE_PATH": kernels(),
+                         **({"CUDA_VISIBLE_DEVICES": ""} if hide else {})}
             with open(self.log, "ab") as log:
                 host = subprocess.Popen([sys.executable, "-c", _START], stdin=subprocess.PIPE, stdout=log, stderr=log,
                                         cwd=self._folder, env=variables, pass_fds=[theirs.fileno()],
@@ -259,7 +264,7 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         try:
             with open(self.log, "rb") as file:
                 file.seek(max(0, self.log.stat().st_size - 20_000))
-                return "\n".join(file.read().decode(errors="replace").splitlines()[-lines:])
+                return "\n".join(map(plain, file.read().decode(errors="replace").splitlines()[-lines:]))
         except OSError:
             return ""
 
@@ -279,8 +284,8 @@ class Process:
         self.peak_memory_mib = 0.0
         """Largest resident size that it has had, once it has ended [MiB]."""
 
-    def ask(self, operation: str, payload: Any, what: str, *, most: int = 1 << 26, limit: float | None = -1.0
-            ) -> Reply:
+    def ask(self, operation: str, payload: Any, what: str, *, most: int = 1 << 26,
+            limit: float | None = -1.0) -> Reply:
         """The answer to a request.
 
         Args:
@@ -324,8 +329,8 @@ class Process:
 
     def _notes(self, kind: str | None) -> str:
         isolation = self._host.isolation
-        if isolation.sandbox != "process" and kind in ("FileNotFoundError", "OSError", "PermissionError",
-                                                       "ModuleNotFoundError"):
+        if isolation.sandbox != "process" and kind in ("FileNotFoundError", "OSError",
+                                                       "PermissionError", "ModuleNotFoundError"):
             return (f" It runs in a container (--sandbox {isolation.sandbox}), which shows the installed packages, its "
                     f"source and what its parameters name, and can be written in its working folder only. Name the "
                     f"file by a parameter, or put it into the method's package.")
