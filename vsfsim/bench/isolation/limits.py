@@ -147,9 +147,9 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str],
     # in a wheel they lie inside the package
     shipped = [folder(name) for name in ("leaderboard", "scenes", "tasks")]
     # the working folder, the repository and archives of datasets, where they lie in the system's, as in /opt
-    users = map(os.path.realpath, (here, Path(vsfsim.__path__[0]).parent, os.environ.get("VSFSIM_ARCHIVES", here)))
-    emptied = [one for one in users if max((path for path in paths if f"{one}/".startswith(f"{path}/")), key=len,
-                                           default=one) in system - {one}]
+    others = here, os.path.dirname(vsfsim.__path__[0]), os.environ.get("VSFSIM_ARCHIVES", here)
+    emptied = [one for one in map(str, map(os.path.realpath, others)) if max(
+        (path for path in paths if f"{one}/".startswith(f"{path}/")), key=len, default=one) in system - {one}]
     devices = {path for pattern in _DEVICES for path in glob.glob(pattern)}
     return {"shown": sorted({path for path in paths if os.path.exists(path)
                              and not path.startswith(("/proc", "/dev"))} | devices),
