@@ -79,11 +79,12 @@ def enter(given: dict[str, Any]) -> None:
                          ("/dev/stdout", "/proc/self/fd/1"), ("/dev/stderr", "/proc/self/fd/2")):
         os.makedirs(os.path.dirname(root + path), exist_ok=True)
         os.symlink(target, root + path)
-    for path in sorted({*given["shown"], *given["emptied"]}):
-        with contextlib.suppress(FileExistsError):  # it lies in a folder that is shown
-            (_hide if path in given["emptied"] else _show)(path, root + path)
-    for path in given["hidden"]:
-        _hide(path, root + path)
+    for path in (*sorted({*given["shown"], *given["emptied"]}), *given["hidden"]):
+        if path not in (*given["emptied"], *given["hidden"]):
+            with contextlib.suppress(FileExistsError):  # it lies in a folder that is shown
+                _show(path, root + path)
+        elif os.path.isdir(root + path):
+            _mount("tmpfs", root + path, "tmpfs", 0, "mode=755,size=64k")
     _set(root, _RDONLY, 0, _RECURSIVE)
     _set(f"{root}/tmp", 0, _RDONLY)
     for name in ("shm", "work"):
@@ -95,11 +96,6 @@ def enter(given: dict[str, Any]) -> None:
     _check(libc.umount2(b".", _DETACH), "umount")
     os.chdir("/tmp/work")
     _lose_privileges(libc)
-
-
-def _hide(_: str, target: str) -> None:
-    if os.path.isdir(target):
-        _mount("tmpfs", target, "tmpfs", 0, "mode=755,size=64k")
 
 
 def _show(path: str, target: str) -> None:
