@@ -92,8 +92,8 @@ def block():
         solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
         at = gauss_points(solid)
         values = young_modulus(at) if callable(young_modulus) else np.full(at.shape[:2], float(young_modulus))
-        return build_model(solid, values, poisson_ratio=poisson_ratio, fixed=fixed, bottom_tolerance=1e-6 * size[2],
-                           where="test", **more)
+        return build_model(solid, values, poisson_ratio=poisson_ratio, fixed=fixed,
+                           bottom_tolerance=1e-6 * size[2], where="test", **more)
 
     return make
 

@@ -20,8 +20,8 @@ def plant(nodes: np.ndarray, parent: list[int] | np.ndarray, *, radius: np.ndarr
     fill = {name: np.broadcast_to(np.asarray(value, float), (n,)).copy() for name,
             value in (("radius", radius), ("young_modulus", young_modulus), ("half_width", half_width))}
     normal = np.zeros((n, 3)) if blade_normal is None else np.broadcast_to(blade_normal, (n, 3)).copy()
-    return Plant(np.asarray(nodes, float), np.asarray(parent), density=np.full(n, 500.0), region=np.zeros(n, int),
-                 region_names=("stem",), blade_normal=normal, **fill)
+    return Plant(np.asarray(nodes, float), np.asarray(parent), density=np.full(n, 500.0),
+                 region=np.zeros(n, int), region_names=("stem",), blade_normal=normal, **fill)
 
 
 def stem(segments: int, *, length: float = 0.4, **section: object) -> Plant:

@@ -14,8 +14,8 @@ from texts import text
 
 HERE = Path(__file__).parent
 PATH = "[press]\npath = [[0.0, 0.0, 0.05], [0.0, 0.0, 0.048]]\nframes = 2\n"
-BOX = text("small", ("[touches]", PATH + "[touches]"), ("[probe]", 'tier = "linear"\n[probe]'), needs=None,
-           name='"box"', young_modulus="1e5", resolution=0.015)
+BOX = text("small", ("[touches]", PATH + "[touches]"), ("[probe]", 'tier = "linear"\n[probe]'),
+           needs=None, name='"box"', young_modulus="1e5", resolution=0.015)
 FLAT = "v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0\nf 1 2 3\nf 1 3 4\n"
 PRESS, GENERATE = ("press", "box.toml"), ("generate", "box.toml", "--out", "out")
 MESH = ('box = [0.06, 0.06, 0.03]', 'mesh = "flat.obj"')

@@ -84,8 +84,8 @@ def test_surface_rows_are_equivalent_to_eq_3():
         rows.append(dense_force_rows(stick(model.particles, touch.vertices, touch.triangles), len(model.particles),
                                      touch.triangles, touch.vertices.shape[1]))
         values.append(r.surface.force.ravel())
-    whole = map_estimate(sparse.vstack(rows).tocsr(), np.concatenate(values), noise_std=0.02, prior_mean=0.0,
-                         prior_var=1000.0**2)
+    whole = map_estimate(sparse.vstack(rows).tocsr(), np.concatenate(values), noise_std=0.02,
+                         prior_mean=0.0, prior_var=1000.0**2)
     # The few rows say what the many do, but for directions under 1e-6 of the strongest, which are left out.
     np.testing.assert_allclose(method.posterior.stiffness, whole, atol=1e-5 * whole.max())
     most = 0.2 * sum(len(z) for z in values)

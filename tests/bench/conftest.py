@@ -55,8 +55,8 @@ def toy_dataset(write_dataset, toy_views):
 @pytest.fixture(scope="session")
 def constant(task, toy_dataset):
     """The result of a method that predicts one value everywhere, evaluated once for each value."""
-    return functools.cache(lambda value: evaluate("toy_methods:Constant", task, toy_dataset, check=False,
-                                                  parameters={"value": value}))
+    return functools.cache(lambda value: evaluate("toy_methods:Constant", task, toy_dataset,
+                                                  check=False, parameters={"value": value}))
 
 
 @pytest.fixture(scope="session")

@@ -63,26 +63,22 @@ def keyring(ring, table=0):
     return way
 
 
-def daemon(family, address):
+def daemon(do):
     """A process that outlives its parent and has left its session, and listens."""
-    def way(do):
-        with socket.socket(family) as line:
-            if do == "take":
-                line.settimeout(0.5)
-                line.connect(address)
-                return True
+    with socket.socket(socket.AF_UNIX) as line:
+        if do == "take":
+            line.connect(f"\0{NOTE}")
+            return True
+    if os.fork() == 0:
+        os.setsid()
         if os.fork() == 0:
-            os.setsid()
-            if os.fork() == 0:
-                with socket.socket(family) as line:
-                    line.bind(address)
-                    line.listen()
-                    time.sleep(20.0)
-            os._exit(0)
-        os.wait()
-        time.sleep(0.1)
-
-    return way
+            with socket.socket(socket.AF_UNIX) as line:
+                line.bind(f"\0{NOTE}")
+                line.listen()
+                time.sleep(20.0)
+        os._exit(0)
+    os.wait()
+    time.sleep(0.1)
 
 
 def attribute(of):
@@ -194,12 +190,12 @@ WAYS = {
     "every mount": every_mount, "kernels": kernels, "POSIX memory": posix_memory,
     "System V memory": systemv("shmget", 16), "System V queue": systemv("msgget"), "POSIX queue": posix_queue,
     "user's keyring": keyring(-4), "session's keyring": keyring(-3), "x32's keyring": keyring(-3, 1 << 30),
-    "abstract socket": daemon(socket.AF_UNIX, f"\0{NOTE}"), "class attribute": attribute(Constant),
-    "loopback": daemon(socket.AF_INET, ("127.0.0.1", 48654)), "imported module": attribute(socket),
+    "abstract socket": daemon, "class attribute": attribute(Constant),
+    "users of its own": lambda do: LIBC.unshare(1 << 28) == 0 and do == "take", "imported module": attribute(socket),
     "descriptors": descriptors, "printed": printed, "system settings": system_settings,
     "other processes": other_processes,
     "input's time": lambda do: os.utime("/proc/self/fd/0") is None and do == "take",
-    "socket to the host": lambda do: socket.socket(socket.AF_VSOCK).fileno() and do == "take",
+    "socket to the kernel": lambda do: socket.socket(socket.AF_NETLINK).fileno() and do == "take",
 }
 
 

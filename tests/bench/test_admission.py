@@ -78,8 +78,8 @@ def test_rounding_is_the_same_dataset_and_anything_else_is_not(task, record):
     other[1] = dataclasses.replace(other[1], touches=(*other[1].touches[:3], dataclasses.replace(
         other[1].touches[3], force=1.01 * other[1].touches[3].force), *other[1].touches[4:]))
     assert found(other) == ["1 pictures or directions differ (mock-0002-v0: colour)",
-                            "1 of its touches read otherwise (mock-0001-v0 touch 3), 2.78 % of all, where rounding "
-                            "decides at most 2 %"]
+                            "1 of its touches read otherwise (mock-0001-v0 touch 3), 2.78 % of "
+                            "all, where rounding decides at most 2 %"]
     renamed = [dataclasses.replace(v, name=f"shoe-{v.object_index:04d}-v0") for v in views()]
     assert found(renamed) == ["its object views or their splits are others, e.g. mock-0000-v0"]
 
@@ -135,8 +135,8 @@ def test_where_rounding_decides_as_much_may_differ_as_on_another_machine(task, r
 
 def test_training_on_the_test_objects_is_not_ranked(task, record, result, write_dataset, tmp_path):
     same = dataclasses.replace(result, dataset_sha256="1" * 64, data=recorded(task, views(1e-7)).table())
-    cheat = evaluate("toy_methods:Constant", task, write_dataset(views(train=1)), parameters={"value": 4.0},
-                     check=False)
+    cheat = evaluate("toy_methods:Constant", task, write_dataset(views(train=1)),
+                     parameters={"value": 4.0}, check=False)
     (tmp_path / "results").mkdir()
     for name, one in (("a", result), ("b", same), ("c", cheat)):
         dataclasses.replace(one, method=name).save(tmp_path / "results" / f"{name}.json")

@@ -42,8 +42,8 @@ def author(tmp_path, monkeypatch, task, toy_dataset):
 
     def run(value="5.6", crash="None", learns="pass", progress=lambda *_: None, seeds=1, **parameters):
         (tmp_path / "mine.py").write_text(METHOD.format(value=value, crash=crash, learns=learns))
-        return evaluate("mine:Mine", task, toy_dataset, out=tmp_path / "r.json", check=False, seeds=seeds,
-                        parameters=parameters, sandbox="process", progress=progress)
+        return evaluate("mine:Mine", task, toy_dataset, out=tmp_path / "r.json", check=False,
+                        seeds=seeds, parameters=parameters, sandbox="process", progress=progress)
 
     return run
 
@@ -101,8 +101,8 @@ def test_every_file_of_a_folder_that_a_parameter_names_counts(task, toy_dataset,
         "            super().adapt(view, support)\n")
 
     def run(progress=lambda *_: None):
-        return evaluate("reads:Reads", task, toy_dataset, check=False, seeds=1, parameters={"tables": folder},
-                        sandbox="namespaces", progress=progress)
+        return evaluate("reads:Reads", task, toy_dataset, check=False, seeds=1,
+                        parameters={"tables": folder}, sandbox="namespaces", progress=progress)
 
     before = run().contents
     assert set(before) == {"the method", "the harness", folder}

@@ -26,8 +26,8 @@ def test_a_touch_that_meets_nothing_reads_what_a_real_gen3_does():
     for k in range(60):
         q = path(rng)
         zero = np.zeros((len(q), 7))
-        values.append(noisy_torque(zero, np.arange(len(q)) / 30.0, zero[:, :3], POSED, object_index=0, view_index=0,
-                                   touch_index=k, q=q))
+        values.append(noisy_torque(zero, np.arange(len(q)) / 30.0, zero[:, :3], POSED,
+                                   object_index=0, view_index=0, touch_index=k, q=q))
     per_joint = np.sqrt(np.mean(np.square(values)))
     norm = np.mean([np.sqrt((v**2).sum(axis=1).mean()) for v in values])
     assert 0.3 < per_joint < 0.6 and 0.8 < norm < 1.6, (per_joint, norm)

@@ -142,8 +142,8 @@ def test_defaults_are_the_real_punyo():
 
 def test_every_key_is_read():
     given = dict(semi_axes=[0.05, 0.04], young_modulus=1e6, thickness=0.001, pre_stretch=1.2, gauge_pressure=5e3,
-                 gas_volume=2e-4, chamber=0.01, gamma=1.0, ambient_pressure=9e4, nodes=500, contact_edge=1e-3,
-                 friction=0.5)
+                 gas_volume=2e-4, chamber=0.01, gamma=1.0, ambient_pressure=9e4, nodes=500,
+                 contact_edge=1e-3, friction=0.5)
     read = sensor(**given, fine="true").sensor
     assert read == Bubble(**{**given, "semi_axes": (0.05, 0.04)}, fine=True)
 

@@ -33,8 +33,8 @@ def presses(seed=0, stiffness=1.0, count=30, apart=0.004):
 
 def write_npz(path, made, radius=RADIUS, **more):
     contact, position, force = made
-    np.savez(path.with_suffix(".npz"), position=position, force=force, normal=np.tile(TILT, (len(contact), 1)),
-             radius=radius, **more)
+    np.savez(path.with_suffix(".npz"), position=position, force=force,
+             normal=np.tile(TILT, (len(contact), 1)), radius=radius, **more)
 
 
 def write_csv(path, made, head="press,x,y,z,fx,fy,fz,nx,ny,nz,radius"):

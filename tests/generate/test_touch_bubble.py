@@ -23,8 +23,8 @@ from vsfsim.robot.path import turn_to
 
 def rim_of(triangles, nodes):
     """True (n,) at the nodes of an edge that belongs to one triangle alone."""
-    edges, count = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
-                             return_counts=True)
+    edges, count = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1),
+                             axis=0, return_counts=True)
     return np.isin(np.arange(nodes), edges[count == 1])
 
 

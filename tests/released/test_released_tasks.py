@@ -51,8 +51,8 @@ def view_made_again(task, name, touches):
     """The object view ``name`` of the task's dataset with its first ``touches`` touches, and the recipe."""
     wanted = task.dataset
     path = shelf.find_scene(wanted.scene)
-    recipe = make_recipe(load_scene(path), seed=wanted.seed, objects=wanted.objects, views=wanted.views,
-                         touches=touches, tier=wanted.tier)
+    recipe = make_recipe(load_scene(path), seed=wanted.seed, objects=wanted.objects,
+                         views=wanted.views, touches=touches, tier=wanted.tier)
     (job,) = (job for job in jobs_of(recipe, path, Path()) if job.name == name)
     return effector_of(job.scene()).make_view(job, device="cpu"), recipe
 
@@ -110,8 +110,8 @@ def test_the_dataset_is_made_again(released):
 def test_a_shipped_row_is_scored_again(released):
     task, shipped, dataset = released
     split = next(iter(dataset.entries)).split
-    protocol = dataclasses.replace(task.protocol, folds=0, draws=0, trainings=0, seeds=1, train=split,
-                                   test=split)  # the method learns nothing
+    protocol = dataclasses.replace(task.protocol, folds=0, draws=0, trainings=0, seeds=1,
+                                   train=split, test=split)  # the method learns nothing
     alone = dataclasses.replace(task, protocol=protocol)
     again = evaluate(shipped.method, alone, dataset, parameters=shipped.parameters, seeds=1)
     readings = zip(*(again.readings[key] for key in ("n", "ss")), strict=True)

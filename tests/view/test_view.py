@@ -84,8 +84,8 @@ def test_the_page_needs_nothing_from_outside_and_names_cannot_end_its_data():
 
 def test_the_object_of_a_scene(vsfsim, tmp_path):
     ball = "{ base = 1e5, inclusions = [{ sphere = [0.0, 0.0, 0.01, 0.006], value = 1e7 }] }"
-    (tmp_path / "block.toml").write_text(text("block", shape="{ box = [0.06, 0.04, 0.02] }", resolution=None,
-                                              press=None, young_modulus=ball))
+    (tmp_path / "block.toml").write_text(text("block", shape="{ box = [0.06, 0.04, 0.02] }",
+                                              resolution=None, press=None, young_modulus=ball))
     out = vsfsim("show", "block.toml", "--out", "block.html", cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     (shown,) = data_of((tmp_path / "block.html").read_bytes())["objects"]
@@ -190,8 +190,8 @@ def result(folder, tmp_path_factory):
                  ("[0, 1, 5]", "[0, 1]"), ("ranking_shot = 5", "ranking_shot = 1"))
     before = os.getcwd()
     os.chdir(where)  # where the method is
-    evaluate("steep:Steep", parse_task(folds, "toy-v1.toml"), dataset, check=False, sandbox="process",
-             out=where / "steep.json")
+    evaluate("steep:Steep", parse_task(folds, "toy-v1.toml"), dataset, check=False,
+             sandbox="process", out=where / "steep.json")
     os.chdir(before)
     return where / "steep.json", dataset
 

@@ -47,14 +47,13 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
            SCORER: files_sha256({part: here / f"{part.replace('.', '/')}.py" for part in _SCORES})}
     named = named_files(dict(parameters), folder)
     seen = {path.resolve() for path in (*named.values(), *files_of(name, folder).values())}
-    for text in opened:
-        path = Path(folder, text)
-        if os.path.isfile(path) and (path := path.resolve()) not in seen:  # of no file is even a name too long
+    for path in map(Path.resolve, named_files(list(opened), folder).values()):
+        if path not in seen:
             named[str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)] = path
     whole = named_folders(dict(parameters), folder)
     try:
-        out |= {text: files_sha256({str(one.relative_to(whole[text])): one for one in whole[text].rglob("*")
-                                    if one.is_file()}) for text in opened if text in whole}
+        out |= {text: files_sha256({str(one.relative_to(whole[text])): one for one in named_files(
+            list(map(str, whole[text].rglob("*"))), "").values()}) for text in opened if text in whole}
     except OSError as error:
         raise MethodError(f"a folder that a parameter of {name} names cannot be read whole: {error}. Name one whose "
                           f"files stay as they are, and can be read.") from error
@@ -88,8 +87,8 @@ def files_of(name: str, folder: str | Path = "") -> dict[str, Path]:
     files = source_files(_module(name), folder or os.getcwd(), of_vsfsim=_passes)
     for package in filter(Path.is_dir, packages_of(files)):
         files |= {f"{package.name}/{path.relative_to(package)}": path
-                  for path in sorted(package.rglob("*"))
-                  if path.is_file() and path.parent.name != "__pycache__"}
+                  for path in named_files(list(map(str, sorted(package.rglob("*")))), "").values()
+                  if path.parent.name != "__pycache__"}
     return files
 
 

@@ -109,8 +109,8 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "commit", lambda: "a" * 40)
     monkeypatch.setattr(rows, "absent", lambda what, _: {"all": "too large"} if what == "study toy" else {})
     asked, row = [], evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
-    ceiling = dataclasses.replace(row, method="resim", entry=ceilings()["resim"].value, preset="", parameters={},
-                                  contents=contents_of("resim", {}))
+    ceiling = dataclasses.replace(row, method="resim", entry=ceilings()["resim"].value, preset="",
+                                  parameters={}, contents=contents_of("resim", {}))
 
     def evaluate_all(one, choices, **_):
         ((path, choice),) = choices.items()
@@ -219,8 +219,8 @@ def forged(board, share, **more):
                 rows.append((name, shot, seed, touch, n, sse))
     queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse"), map(list, zip(*rows)), strict=True))
     scores = scores_of(Answer.READINGS, beside_zero(as_rows(queries), one.readings), one.shots, one.seeds)
-    return dataclasses.replace(one, queries=queries, answers={}, maps={}, values={}, data={}, scores=scores,
-                               dataset_sha256=record.dataset_sha256, **more)
+    return dataclasses.replace(one, queries=queries, answers={}, maps={}, values={}, data={},
+                               scores=scores, dataset_sha256=record.dataset_sha256, **more)
 
 
 @pytest.fixture(scope="module")

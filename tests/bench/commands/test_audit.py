@@ -35,8 +35,8 @@ def row(task, name, errors, folder):
     readings = {"object": objects, "touch": touches, "n": [5] * len(objects), "ss": [5.0] * len(objects)}
     made = Result(task=task.name, task_sha256=task.sha256, dataset_sha256="d" * 64, dataset_made_by={}, method=name,
                   entry="m:M", parameters={}, observation="normal-force", unit="N", shots=task.protocol.labels,
-                  seeds=(0,), scores={}, queries=queries, timing={}, peak_memory_mib=1.0, machine={}, made_by={},
-                  versions={}, readings=readings)
+                  seeds=(0,), scores={}, queries=queries, timing={}, peak_memory_mib=1.0,
+                  machine={}, made_by={}, versions={}, readings=readings)
     folder.mkdir(exist_ok=True)
     dataclasses.replace(made, scores=made.computed()).save(folder / f"{name}.json")
 

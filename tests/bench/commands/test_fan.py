@@ -27,8 +27,8 @@ def rows_of(result):
 def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dataset, tmp_path):
     made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0}, check=False)
     for k in range(2):
-        assert not list(evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset, check=False,
-                                     fan=Fan((k, 2))))
+        assert not list(evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset,
+                                     check=False, fan=Fan((k, 2))))
         assert not list(tmp_path.glob("*.json"))
     parts = list((tmp_path / "row.parts").glob("*/*.answers"))
     assert len(parts) == 3, "the trainings of three folds"

@@ -5,10 +5,12 @@ import dataclasses
 import fcntl
 import hashlib
 import os
+import py_compile
 import subprocess
 import sys
 import time
 from pathlib import Path
+from py_compile import PycInvalidationMode
 
 import hostile_leaks
 import pytest
@@ -68,8 +70,7 @@ def test_the_default_is_the_strongest_that_works(monkeypatch):
     assert Isolation().sandbox == limits.strongest() == BOXES[0]
     monkeypatch.setattr(limits, "works", lambda name: name == "process")
     assert Isolation().sandbox == "process"
-    with pytest.raises(MethodError, match=r"--sandbox namespaces does not work here: .* strongest one that works: "
-                                          "process"):
+    with pytest.raises(MethodError, match=r"--sandbox namespaces does not work here: .* that works: process"):
         Isolation("namespaces")
 
 
@@ -88,8 +89,8 @@ def test_a_container_shows_packages_that_no_folder_of_the_path_holds(box, name, 
                                      "    def adapt(self, view, support): ...\n    def predict(self, touches): ...\n")
     code = ("from vsfsim.bench.isolation.process import MethodHost\n"
             "from vsfsim.bench.isolation.limits import Isolation\n"
-            f"from pathlib import Path\nwith MethodHost({name!r}, {{}}, Isolation({box!r}), Path('log')) as one:\n"
-            "    print(one.look(check=False).entry)")
+            f"from pathlib import Path\nwith MethodHost({name!r}, {{}}, Isolation({box!r}), "
+            f"Path('log')) as one:\n    print(one.look(check=False).entry)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout.strip() == entry, done.stderr
 
@@ -109,8 +110,8 @@ def leaks(task, toy_dataset, tmp_path):
     printed."""
     def run(box, ways, seeds=2):
         brief = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, shots=(0,)))
-        found = evaluate("hostile_leaks:Leaks", brief, toy_dataset, seeds=seeds, check=False, out=tmp_path / "r.json",
-                         parameters={"ways": ",".join(ways)}, sandbox=box)
+        found = evaluate("hostile_leaks:Leaks", brief, toy_dataset, seeds=seeds, check=False,
+                         out=tmp_path / "r.json", parameters={"ways": ",".join(ways)}, sandbox=box)
         text = (tmp_path / "r.json.log").read_text()
         notes = {line.removeprefix("found ") for line in text.splitlines() if line.startswith("found")}
         return found.scores, notes, text
@@ -169,14 +170,18 @@ def test_the_same_notes_pass_where_there_is_no_container(leaks, kernel):
 
 
 @container
-def test_a_container_shows_the_package_and_the_method_and_nothing_else(one_trial, tmp_path, monkeypatch):
-    """The working folder, boards, records, tasks, scenes and the user's environment are hidden."""
+def test_a_container_shows_the_package_and_the_method_and_nothing_else(one_trial, toy_dataset, tmp_path, monkeypatch):
+    """The working folder, though in one of the system's, boards, records, tasks, scenes, the name of the dataset and
+    the user's environment are hidden."""
+    monkeypatch.setattr(limits, "_SYSTEM", (*limits._SYSTEM, str(tmp_path.parent)))
     (tmp_path / "looks.py").write_text(
-        "import os\nfrom toy_methods import Constant\n\n\nclass Looks(Constant):\n"
+        "import os, sys\nfrom toy_methods import Constant\n\n\nclass Looks(Constant):\n"
         "    def adapt(self, view, support):\n        super().adapt(view, support)\n"
         "        import vsfsim\n        root = os.path.dirname(os.path.dirname(vsfsim.__file__))\n"
-        "        print('here', sorted(os.listdir(os.path.dirname(__file__))), sorted(os.listdir('.')))\n"
-        "        print('root', sorted(os.listdir(root)))\n"
+        "        print('here', sorted(os.listdir(os.path.dirname(__file__))), "
+        f"sorted(os.listdir('.')))\n        print('root', sorted(os.listdir(root)))\n"
+        "        frame = sys._getframe()\n        while frame := frame.f_back:\n"
+        f"            print('frame', {str(toy_dataset.path)!r} in str(frame.f_locals))\n"
         "        print('secret', 'SECRET' in os.environ, [k for k, v in os.environ.items() if 'toy' in v])\n")
     (tmp_path / "answers.csv").write_text("1,2,3\n")
     monkeypatch.chdir(tmp_path)
@@ -185,8 +190,29 @@ def test_a_container_shows_the_package_and_the_method_and_nothing_else(one_trial
         make("0")
     lines = set(make.log.read_text().splitlines())
     assert "here ['looks.py'] ['.cache']" in lines and "secret False []" in lines
+    assert {"frame True", "frame False"} & lines == {"frame False"}
     (root,) = [line for line in lines if line.startswith("root")]
     assert not [name for name in ("leaderboard", "tasks", "scenes", "measurements") if f"'{name}'" in root]
+
+
+@container
+def test_of_a_methods_package_sources_are_run_and_pipes_lead_nowhere(one_trial, tmp_path, monkeypatch):
+    """Bytecode is in no digest, and a pipe passes readings between trainings that run at once."""
+    package = tmp_path / "packed"
+    package.mkdir()
+    for text in ("bytecode", "source"):
+        (package / "__init__.py").write_text(f"from toy_methods import Constant\n\n\nclass Own(Constant):\n"
+                                             f"    def meta_fit(self, specimens):\n        print('{text}', open("
+                                             f"__file__[:-11] + 'pipe', 'w+b', 0).read(1))\n")
+        if text == "bytecode":
+            py_compile.compile(package / "__init__.py", invalidation_mode=PycInvalidationMode.UNCHECKED_HASH)
+    os.mkfifo(package / "pipe")
+    os.chmod(package / "pipe", 0o666)
+    monkeypatch.chdir(tmp_path)
+    with open(package / "pipe", "w+b", 0) as pipe, one_trial("packed:Own", Isolation("namespaces")) as make:
+        pipe.write(b"1")
+        make("0")
+    assert make.log.read_text() == "source b''\n"
 
 
 @container
@@ -210,8 +236,8 @@ def test_trials_that_run_at_once_cannot_signal_by_what_the_kernel_keeps_of_a_fil
                      "for what in (6, 7, 37, 38): fcntl.fcntl(file, what, bytes(32))",
                      "for what in (1024, 1026): fcntl.fcntl(file, what, 1)",
                      "assert LIBC.inotify_add_watch(LIBC.inotify_init1(0), file.name.encode(), 32) == 0"):
-            make("0", CODE="import fcntl; LIBC = ctypes.CDLL(None); file = open(toy_methods.__file__, 'rb')\n"
-                           f"{code}\nraise EOFError")
+            make("0", CODE="import fcntl; LIBC = ctypes.CDLL(None); file = "
+                           f"open(toy_methods.__file__, 'rb')\n{code}\nraise EOFError")
             assert make.log.read_text().split()[-1] == "EOFError"
     locks = Path("/proc/locks").read_text()
     assert locks.count(f":{os.fstat(held.fileno()).st_ino} ") == 1, "the test's own"

@@ -61,7 +61,7 @@ def enter(given: dict[str, Any]) -> None:
     Args:
         given: ``root``, an empty folder; ``shown``, files and folders by absolute path; ``links``, pairs of a path and
         what it points to; ``emptied``, folders of which is seen only what is shown in them; ``hidden``, folders that
-        appear empty; ``size``, the most bytes in /tmp.
+        appear empty, and pipes, in whose place is /dev/null; ``size``, the most bytes in /tmp.
 
     Raises:
         OSError: the system refuses; the message says which step.
@@ -85,6 +85,8 @@ def enter(given: dict[str, Any]) -> None:
                 _show(path, root + path)
         elif os.path.isdir(root + path):
             _mount("tmpfs", root + path, "tmpfs", 0, "mode=755,size=64k")
+        elif os.path.exists(root + path):
+            _mount("/dev/null", root + path, None, _BIND)
     _set(root, _RDONLY, 0, _RECURSIVE)
     _set(f"{root}/tmp", 0, _RDONLY)
     for name in ("shm", "work"):

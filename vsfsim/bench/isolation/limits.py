@@ -73,8 +73,8 @@ def works(sandbox: str) -> bool:
     if sandbox == "process":
         return True
     with contextlib.suppress(OSError, subprocess.SubprocessError):
-        return sys.platform == "linux" and subprocess.run([sys.executable, "-I", "-S", box.__file__],
-                                                          capture_output=True, timeout=20.0).returncode == 0
+        return sys.platform == "linux" and subprocess.run(
+            [sys.executable, "-I", "-S", box.__file__], capture_output=True, timeout=20.0).returncode == 0
     return False
 
 
@@ -144,6 +144,8 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str],
     paths = {form(path) for path in map(str, wanted) for form in (os.path.realpath, os.path.abspath)} - apart
     # of a method's own no digest is made, and it need not be of the source beside it
     bytecode = [path for package in own for path in package.rglob("__pycache__")]
+    # which are written and read in a folder that is read-only, too
+    pipes = [path for top in (*own, *named) for path in top.rglob("*") if path.is_fifo() or path.is_socket()]
     # in a wheel they lie inside the package
     shipped = [folder(name) for name in ("leaderboard", "scenes", "tasks")]
     # the working folder, the repository and archives of datasets, where they lie in the system's, as in /opt
@@ -154,5 +156,5 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str],
     return {"shown": sorted({path for path in paths if os.path.exists(path)
                              and not path.startswith(("/proc", "/dev"))} | devices),
             "links": [(path, os.readlink(path)) for path in _SYSTEM if os.path.islink(path)],
-            "hidden": list(map(os.path.realpath, filter(Path.is_dir, (*hidden, *shipped, *bytecode)))),
+            "hidden": [os.path.realpath(path) for path in (*hidden, *shipped, *bytecode, *pipes)],
             "emptied": emptied}

@@ -189,8 +189,8 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         said = reply.head.get("opened")
         names = [os.path.normpath(os.fsdecode(name))
                  for name in (said if isinstance(said, list) else ()) if isinstance(name, bytes)]
-        opened = tuple(name for name in names if not name.startswith(("/proc/", "/sys/"))
-                       and "/__pycache__/" not in name and f"{name}/".startswith(shown))
+        opened = tuple(name for name in names
+                       if "/__pycache__/" not in name and f"{name}/".startswith(shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened,
                        process.seconds["meta_fit"], given)
 
@@ -250,9 +250,9 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
             variables = {**environment(os.environ), "WARP_CACHE_PATH": kernels(),
                          **({"CUDA_VISIBLE_DEVICES": ""} if hide else {})}
             with open(self.log, "ab") as log:
-                host = subprocess.Popen([sys.executable, "-c", _START], stdin=subprocess.PIPE, stdout=log, stderr=log,
-                                        cwd=self._folder, env=variables, pass_fds=[theirs.fileno()],
-                                        start_new_session=True)
+                host = subprocess.Popen([sys.executable, "-c", _START], stdin=subprocess.PIPE, stdout=log,
+                                        stderr=log, cwd=self._folder, env=variables,
+                                        pass_fds=[theirs.fileno()], start_new_session=True)
             theirs.close()
             self._hosts[hide] = host, ours
             with host.stdin as words:  # type: ignore[union-attr]
@@ -264,7 +264,7 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         try:
             with open(self.log, "rb") as file:
                 file.seek(max(0, self.log.stat().st_size - 20_000))
-                return "\n".join(map(plain, file.read().decode(errors="replace").splitlines()[-lines:]))
+                return "\n".join(file.read().decode(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
 
@@ -317,14 +317,15 @@ class Process:
         text = plain(reply.head.get("text", ""))
         if kind in ("missing", "refused"):
             raise (MissingPackage if kind == "missing" else MethodError)(text)
-        failure = MethodError(f"the method raised {plain(reply.head.get('type', 'an error'))} in {what}: "
-                              f"{text.rstrip('.')}.{self._notes(reply.head.get('type'))} --debug shows where.")
+        raised = plain(reply.head.get("type", "an error"))
+        failure = MethodError(f"the method raised {raised} in {what}: {text.rstrip('.')}."
+                              f"{self._notes(reply.head.get('type'))} --debug shows where.")
         failure.add_note(self._host.tail())
         raise failure
 
     def _stop(self, limit: float, what: str) -> None:
-        self._timed_out = (f"{what} took longer than {limit:g} s; --timeout is {self._host.isolation.timeout:g} s a "
-                           f"call. Give more time, or make it faster.")
+        self._timed_out = (f"{what} took longer than {limit:g} s; --timeout is "
+                           f"{self._host.isolation.timeout:g} s a call. Give more time, or make it faster.")
         self._finish()
 
     def _notes(self, kind: str | None) -> str:

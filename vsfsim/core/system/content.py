@@ -71,19 +71,21 @@ def file_sha256(path: Path) -> str:
 
 
 def named_files(values: Any, folder: str | Path) -> dict[str, Path]:
-    """The files that texts in a tree of tables and lists name, by that text.
+    """The files that texts in a tree of tables and lists name, by that text; none of /proc and /sys, which the kernel
+    makes up as they are read, some without an end.
 
     Args:
         values: JSON or TOML values. folder: that relative paths are relative to.
     """
     found = {text: Path(folder, Path(text).expanduser()) for text in texts_of(values)}
-    # which asks nothing of a text that is no name of a file, such as one of 300 letters
-    return {text: path.absolute() for text, path in found.items() if os.path.isfile(path)}
+    # isfile asks nothing of a text that is no name of a file, such as one of 300 letters
+    return {text: path.absolute() for text, path in found.items()
+            if os.path.isfile(path) and not os.path.realpath(path).startswith(("/proc/", "/sys/"))}
 
 
 def named_folders(values: Any, folder: str | Path) -> dict[str, Path]:
     """The folders that texts with a slash name, by that text; operands as of `named_files`."""
-    found = {text: Path(folder, Path(text).expanduser()) for text in texts_of(values) if "/" in text}
+    found = {one: Path(folder, Path(one).expanduser()) for one in texts_of(values) if "/" in one}
     return {text: path.absolute() for text, path in found.items() if os.path.isdir(path)}
 
 
