@@ -98,10 +98,9 @@ def judge(one: Ask, *, limit: float) -> list[dict[str, Any]]:
     error = np.abs(found.normal_force[at] - force) / np.maximum(force, SMALL * max(row["force_N"]))
     result = found.result
     told = np.asarray(result.more.get("mesh_error", np.full(len(found.normal_force), np.nan)))[at]
-    small = "no longer small strain" in "".join(result.words)
     marked = ~(result.converged & (False if result.resolved is None else result.resolved))[at]
     return [{**base, "frame": int(t), "error": float(error[k]), "told": float(told[k]), "unsure": float(unsure[k]),
-             "marked": bool(marked[k] or small), "seconds": time.process_time() - began} for k, t in enumerate(at)]
+             "marked": bool(marked[k]), "seconds": time.process_time() - began} for k, t in enumerate(at)]
 
 
 def _pressed(one: Ask, cell: Cell, folder: Path) -> Any:

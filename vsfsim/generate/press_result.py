@@ -14,7 +14,7 @@ import numpy as np
 
 from vsfsim.core.rigid import PressSpec
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.core.shape import Box, Cylinder, ProbeShape
+from vsfsim.core.shape import ProbeShape
 from vsfsim.core.text_table import text_table
 from vsfsim.data.records import Touch
 from vsfsim.data.schema import FIELDS
@@ -25,13 +25,10 @@ from vsfsim.sensing.cut import Elements
 from vsfsim.sensing.surface import Surface
 
 PICTURE = (640, 512)  # width and height of a view [px]
-SMALL = 0.85
-"""Smallest det F at which small strain is accepted [-]: S1 at 5 mm has 0.87, and small strain is 3.6 % low there."""
 PENETRATION = 0.01  # of an element's edge: the penetration that the solver promises [-]
 FORCES = ("normal N is the component of the force against the direction of the press, which the "
           "tasks call normal-force; |force| N is the length of the force.")
 """Printed below a table with both."""
-_NO_LIMIT = 10**9
 
 
 def limited(options: SolverOptions, request: Request) -> SolverOptions:
@@ -41,7 +38,7 @@ def limited(options: SolverOptions, request: Request) -> SolverOptions:
         options = dataclasses.replace(options, tolerance=request.tolerance)
     if request.limit is None:
         return options
-    return dataclasses.replace(options, seconds=request.limit, cg_frame=_NO_LIMIT, newton_frame=_NO_LIMIT)
+    return dataclasses.replace(options, seconds=request.limit, cg_frame=10**9, newton_frame=10**9)
 
 
 @dataclass(frozen=True)
@@ -139,8 +136,6 @@ class PressResult:
     """Label of the plot's depth axis, in millimetres."""
     first: tuple[Column, ...] = ()
     """The first columns of the printed table; empty for those of depth and force."""
-    linear: bool = False
-    """Whether the tier assumes small strain."""
     body: tuple[Elements, np.ndarray, ProbeShape] | None = None
     """The elements, their nodes' displacements (T, n, 3) [m], and what pressed them; None without elements."""
 
@@ -214,9 +209,6 @@ class PressResult:
         det = float(audit["min_det_f"].min()) if "min_det_f" in audit else 1.0
         if det != 1.0:  # that of an incompressible membrane
             words.append(f"Smallest det F {det:.3f}" + (": an element is turned inside out." if det <= 0.0 else "."))
-        if self.linear and det < SMALL:
-            words.append(f"That is no longer small strain, which tier linear assumes (det F over {SMALL:g}): its "
-                         f"force may be off by ten per cent and more; run it with --tier fem.")
         return " ".join(words)
 
     def table(self) -> dict[str, Any]:
@@ -284,20 +276,3 @@ def direction(spec: PressSpec) -> np.ndarray:
             way = np.array(b) - np.array(a)
             return way / np.linalg.norm(way)
     return np.array([0.0, 0.0, -1.0])
-
-
-def edge_notes(names: Sequence[str], shapes: Sequence[ProbeShape], body_force: np.ndarray) -> list[str]:
-    """What a user should know where a rigid body with sharp edges touches.
-
-    Args:
-        names: of the bodies (K).
-        shapes: of the bodies (K).
-        body_force: force on each (T, K, 3) [N]; NaN in frames that did not converge.
-    """
-    sharp = [name for name, shape, force in zip(names, shapes, np.moveaxis(body_force, 1, 0), strict=True)
-             if isinstance(shape, (Box, Cylinder)) and np.nan_to_num(force).any()]
-    if not sharp:
-        return []
-    return [f"The contact has sharp edges ({', '.join(sharp)}), where the pressure has no bound: "
-            "the force converges slowly with the element size, and a coarse mesh is too stiff. "
-            "Compare meshes with --refine 3."]

@@ -28,7 +28,6 @@ from vsfsim.generate.press_result import (
     Column,
     PressResult,
     direction,
-    edge_notes,
     frames_done,
     limited,
 )
@@ -248,8 +247,8 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance,
         "inward": spec.inward, "mesh_error": frames.mesh_error[:, 0],
         "corner_det_f": frames.corner_det_f[:, 0], "rotation": frames.rotation[:, 0]}
-    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0],
-                    linear * frames.rotation[:, 0], touch.converged)
+    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], linear * frames.rotation[:, 0],
+                    touch.converged, np.ravel(solver.law_error) if linear else 0.0)
     said = [*filter(None, [told]),
             f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, "
             f"element size {1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
@@ -261,8 +260,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
     return PressResult(
         touch, depth, full, edge=(more["volume"] / tets) ** (1.0 / 3.0) if scan else at_contact,
         more=more, readings=(Column("turn rad", frames.rotation[:, 0], ".3f"),), said=tuple(said),
-        linear=linear, notes=(*prepared.notes, *model.solid.notes, *deep,
-                              *edge_notes(names, scene.bodies, body_force)),
+        notes=(*prepared.notes, *model.solid.notes, *deep),
         plot={"normal force [N]": {"reaction of the supports": -(touch.reaction @ axis),
                                    "force on the probe": normal}},
         model=f"tier {tier}, {tets} tetrahedra",

@@ -51,8 +51,7 @@ radius of 0.47 of an element, or of 1.1 under a body with edges."""
 TURNED = 0.13
 """Largest rotation of an element up to which small strain keeps the force within 5 % [rad]. Above `fem-coarse` is
 `linear` on a cantilever plate of 3 mm by 3.6, 6.9 and 21 % at 0.09, 0.18 and 0.35 rad, on one of 10 mm by 2.3 and 8.8 %
-at 0.075 and 0.19, on a bridge of 4 mm by 1.4 and 10 % at 0.07 and 0.21. A ball on a block is 0.1, 3 and 12 % below it
-at 0.03, 0.12 and 0.2 rad, one on a bonded pad of 8 mm, whose strain decides, 4 and 15 % at 0.06 and 0.16."""
+at 0.075 and 0.19, on a bridge of 4 mm by 1.4 and 10 % at 0.07 and 0.21."""
 PARTS = 0.25
 """Share of its stiffness by which a part inside may be off in a resolved frame [-]."""
 
@@ -116,13 +115,16 @@ def resolved(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, 
             & ((parts <= PARTS) | (error == 0.0)))
 
 
-def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, converged: np.ndarray) -> str:
-    """Sentences on the frames (T,) of a press that are not resolved, see `resolved`; empty if all are."""
-    small, folded, bent = converged & (error > LIMIT), converged & (corner <= 0.0), converged & (turned > TURNED)
-    words = []
+def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, converged: np.ndarray,
+             law: np.ndarray | float = 0.0) -> str:
+    """Sentences on the frames (T,) of a press that are not resolved, see `resolved`; empty if all are. ``law`` is the
+    part of the error that is due to small strain (T,) [-]."""
+    strained, words = (error > LIMIT) & (2.0 * law**2 > error**2), []
+    small, folded = converged & (error > LIMIT) & ~strained, converged & (corner <= 0.0)
+    bent = converged & ((turned > TURNED) | strained)
     if bent.any():
-        words.append(f"In {int(bent.sum())} of {len(error)} frames elements turn by up to "
-                     f"{np.max(turned):.2g} rad, too far for this tier: take --tier fem.")
+        words.append(f"In {int(bent.sum())} of {len(error)} frames elements turn (by up to {np.max(turned):.2g} rad) "
+                     f"or stretch too far for this tier: take --tier fem.")
     if small.any():
         words.append(f"The mesh does NOT resolve the contact in {int(small.sum())} of {len(error)} frames: it is small "
                      f"against the elements, and the force is off there by up to {100 * error[small].max():.0f} %.")
