@@ -57,7 +57,7 @@ def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device:
         frames = solver.run(placed, start=body_poses(scene, starts(scene, part, poses[0])), keep=keep,
                             mount=None if spring is None else Mount(spring, np.stack([a.axis for a in part])),
                             progress=lambda _, k=width: progress(k))  # type: ignore[misc]
-        if keep and solver.linear:  # datasets of this tier are released without it
+        if keep and solver.linear:  # a press; the released datasets of this tier are marked without it
             law = np.where(frames.mesh_error > 0.0, solver.law_error, 0.0)
             frames = dataclasses.replace(frames, mesh_error=np.hypot(frames.mesh_error, law))
         # obstacles do not belong to the probe
