@@ -86,3 +86,13 @@ def test_a_reading_grows_with_a_power_of_the_summed_displacement():
     for growth in (0.0, 1.5):
         with pytest.raises(MethodError, match=f"growth is {growth}"):
             VsfSettings(**SETTINGS, growth=growth)
+
+
+def test_the_noise_of_a_prediction_is_in_proportion_to_the_largest_force_of_its_touch():
+    readings = record(mock_view(0), parse_task(MOCK_TASK, "mock")).readings
+    model = ParticleModel.behind(mock_view(0).view, VsfSettings(**{**SETTINGS, "noise_std": 0.5}, noise_share=0.3))
+    known = Posterior.of(model, [], prior_mean=50.0, prior_var=1e-9)  # nothing left open but the noise
+    actions = [reading.action for reading in readings]
+    for force, std in zip(known.predict(actions), known.predict_std(actions), strict=True):
+        assert std == pytest.approx(np.hypot(0.5, 0.3 * np.abs(force).max()), rel=1e-3)
+    assert max(np.abs(force).max() for force in known.predict(actions)) > 1.0

@@ -153,9 +153,11 @@ class Answers(Hostile):
         return eval(os.environ["CODE"])
 
 
-class StiffnessIsAList(Hostile):
+class Stiffness(Hostile):
+    """As `Answers`."""
+
     def stiffness(self, points):
-        return [1.0] * len(points)
+        return eval(os.environ["CODE"])
 
 
 class NotPlain(Hostile):

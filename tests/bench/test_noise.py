@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 
 import numpy as np
@@ -55,6 +56,10 @@ def test_hysteresis_changes_with_the_direction_of_motion_and_stays_at_rest():
     assert 0.2 <= height <= 0.4
     assert np.allclose(found[:, 0], height * np.array([-1, -1, 1, 1, 1, -1]))
     assert (found[:, 1] == found[0, 1]).all()
+    only = dataclasses.replace(POSED, torque_pose_std=0.0, tare_frames=0)
+    with_it, without = (noisy_torque(0.0 * q, np.arange(6.0), q[:, :3], only, q=at, **WHICH) for at in (q, None))
+    size = height * np.array([-1, -1, 1, 1, 1, -1])
+    assert np.allclose(np.abs((with_it - without)[:, 0]), height) and np.allclose((with_it - without)[2:, 0], size[2:])
 
 
 # ------------------------------------------------------------------ the force of any sensor

@@ -52,6 +52,12 @@ def test_every_segment_is_held_to_its_limits(name, good, bad, segment):
             with_entry(name, segment, value)
 
 
+def test_poissons_ratio_is_below_a_half():
+    assert plant(poisson_ratio=0.4999)
+    with pytest.raises(SceneError, match="Poisson's ratio of segment 1"):
+        plant(poisson_ratio=0.5)
+
+
 def test_entry_0_of_a_segments_array_is_not_read():
     for name in ("radius", "young_modulus", "density"):
         with_entry(name, 0, -1.0)

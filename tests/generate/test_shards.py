@@ -148,14 +148,16 @@ def test_words_that_a_job_cannot_have_are_refused(engine, word, message):
         engines.job_file(engine, ["generate", word], 3)
 
 
-def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim):
+@pytest.mark.parametrize(("kept", "told"), [(0, "nothing was finished"), (1, "Run the same command again")])
+def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim, kept, told):
     """The signal arrives at the worst moment: the file lies there and its line does not. Whatever is in it, it is made
-    again."""
+    again; a view that was finished before is kept."""
     words = ("generate", scene.path, "--out", "d", "--objects", 4)
     before, real = signal.getsignal(signal.SIGTERM), lines.put_line
+    files = [f"tiny-{k:04d}-v0.h5" for k in range(kept + 1)]
 
     def put_line(store, entry, recipe):
-        if entry.name == "tiny-0001-v0":
+        if entry.file == files[-1]:
             signal.raise_signal(signal.SIGTERM)
         real(store, entry, recipe)
 
@@ -165,10 +167,9 @@ def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkey
             stopped = vsfsim(*words, cwd=tmp_path)
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert stopped.returncode == 143 and "Run the same command again" in stopped.stderr
-    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [
-        "dataset.part.json", "manifest", "tiny-0000-v0.h5", "tiny-0001-v0.h5"]
-    (tmp_path / "d" / "tiny-0001-v0.h5").write_bytes((tmp_path / "d" / "tiny-0000-v0.h5").read_bytes())
+    assert stopped.returncode == 143 and told in stopped.stderr
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == ["dataset.part.json", "manifest", *files]
+    (tmp_path / "d" / files[-1]).write_bytes((made.path / "tiny-0002-v0.h5").read_bytes())
     assert generate(scene, tmp_path / "d", objects=4).sha256 == made.sha256
     assert contents(tmp_path / "d") == contents(made.path)
 

@@ -49,6 +49,13 @@ def test_look_at_puts_the_target_in_the_middle_and_up_up():
     assert intrinsics[:2, 2].tolist() == [79.5, 59.5], "the middle of 160 x 120 pixels, whose centres are whole numbers"
 
 
+def test_a_picture_is_the_same_whichever_corner_of_a_triangle_comes_first():
+    ball = surface_of(trimesh.creation.icosphere(1, 0.1), look("plain", 0.0))
+    first, other = (render(replace(ball, triangles=np.roll(ball.triangles, turn, axis=1)), *look_at(SPEC, np.zeros(3)),
+                           160, 120).rgb.astype(int) for turn in (0, 1))
+    assert np.ptp(first[60, 60:100]) > 20 and np.abs(first - other).max() <= 2
+
+
 def test_depth_of_a_tilted_plane_is_exact():
     # Off the origin: 40 m is 3 um in float32, and the depth is still that of the plane.
     offset = np.array([40.0, -25.0, 3.0])
