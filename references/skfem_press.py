@@ -2,8 +2,8 @@
 
 Any element and mesh of scikit-fem, in space or in the half plane (r, z) of what is round about the z axis. A penalty at
 the quadrature points of the surface keeps it out of the probe. Newton's method with SuperLU and a line search on the
-energy, total Lagrangian, on the neo-Hookean law W = mu/2 (I_c - 3) - mu ln J + lambda/2 (ln J)^2 or on that of
-`hyperfoam.py`.
+energy, total Lagrangian, on the neo-Hookean law W = mu/2 (I_c - 3) - mu ln J + lambda/2 (J - 1)^2, that of
+`docs/physics.md`, or on that of `hyperfoam.py`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST = 25
 
 
 class NeoHooke:
-    """W = mu/2 (I_c - 3) - mu ln J + lambda/2 (ln J)^2 of moduli ``young`` (m, 1) [Pa]."""
+    """W = mu/2 (I_c - 3) - mu ln J + lambda/2 (J - 1)^2 of moduli ``young`` (m, 1) [Pa]."""
 
     def __init__(self, young: np.ndarray, nu: float):
         self.mu = young / (2.0 * (1.0 + nu))
@@ -33,21 +33,21 @@ class NeoHooke:
 
     def energy(self, f: np.ndarray) -> np.ndarray:
         """(m, q) [Pa] of deformation gradients (m, q, 3, 3)."""
-        log = np.log(np.linalg.det(f))
-        return 0.5 * self.mu * ((f**2).sum(axis=(2, 3)) - 3.0) - self.mu * log + 0.5 * self.lam * log**2
+        j = np.linalg.det(f)
+        return 0.5 * self.mu * ((f**2).sum(axis=(2, 3)) - 3.0) - self.mu * np.log(j) + 0.5 * self.lam * (j - 1.0) ** 2
 
     def stress(self, f: np.ndarray) -> np.ndarray:
         """(m, q, 3, 3) [Pa]."""
-        log, across = np.log(np.linalg.det(f)), np.swapaxes(np.linalg.inv(f), 2, 3)
-        return self.mu[..., None, None] * f + (self.lam * log - self.mu)[..., None, None] * across
+        j, across = np.linalg.det(f), np.swapaxes(np.linalg.inv(f), 2, 3)
+        return self.mu[..., None, None] * f + (self.lam * (j - 1.0) * j - self.mu)[..., None, None] * across
 
     def moduli(self, f: np.ndarray) -> np.ndarray:
         """(m, q, 3, 3, 3, 3) [Pa]."""
-        log, across = np.log(np.linalg.det(f)), np.swapaxes(np.linalg.inv(f), 2, 3)
+        j, across = np.linalg.det(f), np.swapaxes(np.linalg.inv(f), 2, 3)
         wide, eye = (..., None, None, None, None), np.eye(3)
         return (self.mu[wide] * np.einsum("ik,jl->ijkl", eye, eye)
-                + np.broadcast_to(self.lam, log.shape)[wide] * across[..., None, None] * across[..., None, None, :, :]
-                + (self.mu - self.lam * log)[wide] * np.einsum("mqil,mqkj->mqijkl", across, across))
+                + (self.lam * (2.0 * j - 1.0) * j)[wide] * across[..., None, None] * across[..., None, None, :, :]
+                + (self.mu - self.lam * (j - 1.0) * j)[wide] * np.einsum("mqil,mqkj->mqijkl", across, across))
 
 
 class Foam:
