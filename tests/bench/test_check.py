@@ -1,8 +1,10 @@
 """`vsfsim check` passes what conforms and names the clause that a method breaks."""
 
+import numpy as np
 import pytest
 
 from vsfsim.bench.check import check, report
+from vsfsim.bench.mock import BALL, displacement, mock_view
 from vsfsim.core.errors import MethodError
 
 
@@ -43,3 +45,20 @@ def test_a_method_without_a_required_function_is_refused():
         check("toy_methods:NoPredict")
     with pytest.raises(MethodError, match="has no class '__name__'"):
         check("toy_methods:__name__")
+
+
+def test_the_forces_of_a_mock_touch_are_those_of_its_springs():
+    """Each particle within the ball goes to the nearest point of its surface, the others stay; the half x > 0 is five
+    times as stiff."""
+    view = mock_view(0)
+    points, spring = view.truth.points, view.truth.vsf_stiffness
+    for touch in view.touches:
+        centres = touch.probe_pose()[:, :3, 3]
+        far = np.linalg.norm(points - centres[:, None], axis=2)
+        moved = np.stack([points + displacement(points, centre) for centre in centres])
+        after = np.linalg.norm(moved - centres[:, None], axis=2)
+        assert after == pytest.approx(np.maximum(far, BALL.radius), abs=1e-12)
+        assert touch.force == pytest.approx(-np.einsum("n,tnk->tk", spring, moved - points), abs=1e-12)
+        assert touch.touched == (far < BALL.radius).any()
+    stiff = view.truth.region == 1
+    assert spring[stiff].mean() / spring[~stiff].mean() == pytest.approx(5.0, rel=0.05)

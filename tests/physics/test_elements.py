@@ -185,3 +185,15 @@ def test_the_bits_are_the_same_again(body):
     x = np.random.default_rng(3).standard_normal((len(u), 3))
     first, again = ((*body(u[:, None]), body.tangent_times(u, x, projected=True)) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(first, again))
+
+
+@pytest.mark.parametrize("stretches", [(0.8, 0.7, 0.6), (0.95, 0.9, 0.8), (1.5, 1.2, 0.3)])
+def test_under_pressure_the_projection_adds_no_more_than_it_must(small, device, stretches):
+    """Of the nine uniform deformations some have negative stiffness; the projected tangent has the softest at zero."""
+    body = Body(small("tet10"), device)
+    own = rotation(4)
+    u = body.points @ (own @ np.diag(stretches) @ own.T - np.eye(3))
+    modes = np.einsum("ni,kc->nkci", body.points, np.eye(3)).reshape(-1, 9)
+    exact, projected = (np.linalg.eigvalsh(modes.T @ body.tangent_times(u.ravel(), modes, projected=p))
+                        for p in (False, True))
+    assert exact[0] < -0.1 * exact[-1] and abs(projected[0]) < 1e-12 * projected[-1]

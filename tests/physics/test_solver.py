@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from frame_checks import from_above, numbers_stand_for_equilibria
 
+from vsfsim.core.bubble import Bubble
 from vsfsim.core.shape import Cylinder, Plane, Sphere
+from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.solve import tangent_factor
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
@@ -190,3 +193,17 @@ def test_a_run_does_not_depend_on_the_run_before(model, line, device):
     used = Solver(model, PROBE, device=device, options=hard)
     used.run(down(line, [0.002, 0.004], x=0.01))
     assert same(fresh, used.run(poses, start=from_above(poses)))
+
+
+def test_factors_of_the_tangent_change_no_force(block, line, monkeypatch):
+    """A factor at every chance, which a body with a gas has none of: it takes fewer iterations, to the same forces."""
+    ball = Sphere(0.01)
+    for body in (block(SIZE, 0.03), build_bubble(Bubble(nodes=100))):
+        poses = line([[0.0, 0.0, body.mesh.points[:, 2].max() + 0.01 - depth] for depth in (-0.001, 0.004)], ball)
+        runs = []
+        for usual, work in ((12, 10.0), (0, 1e12)):
+            monkeypatch.setattr(tangent_factor, "_USUAL", usual)
+            monkeypatch.setattr(tangent_factor, "_WORK", work)
+            runs.append(Solver(body, ball, device="cpu", options=SolverOptions(tolerance=1e-5)).run(poses))
+        assert all(frames.converged.all() for frames in runs)
+        assert runs[1].force == pytest.approx(runs[0].force, rel=1e-4, abs=1e-6)

@@ -1,6 +1,7 @@
 """Around a press: what is assumed, observed order of convergence, pressures, pictures' triangles."""
 
 import errno
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -136,3 +137,9 @@ def test_a_full_disk_is_named(pressed, tmp_path, monkeypatch, way):
     with pytest.raises(VsfsimError, match=f"(?s){file}.*(full|space)"):
         getattr(Press("small", (pressed[1],), "cpu"), way)(file)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("frames", "found"), [(None, True), ([True, True], True), ([True, False], False)])
+def test_a_press_is_resolved_where_every_frame_is_or_none_is_measured(frames, found):
+    result = SimpleNamespace(resolved=None if frames is None else np.array(frames))
+    assert Press("block", (result,), "cpu").resolved is found

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import camera_view, particles
+from vsfsim.vsf.features.descriptor import LocalDescriptor
 from vsfsim.vsf.features.interface import NEIGHBOURS, FeatureImage, Normaliser, project, projection
 from vsfsim.vsf.features.registry import particle_features
 
@@ -61,3 +62,18 @@ def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone()
     np.testing.assert_allclose(out[:, :2].std(axis=0), 1, rtol=1e-4)
     assert (out[:, 2] == 0.0).all()
     assert normalise(np.full((1, 3), 1e6, np.float32)).max() == 6.0
+
+
+def test_stripes_of_a_pixel_have_the_energy_that_a_gaussian_of_0_4_pixels_takes_away(view):
+    """On pixels of 7.5 mm, of the finest scale of 3 mm: it leaves the share (1 - 2 w) / (1 + 2 w) of columns that
+    alternate, with w = exp(-1 / (2 0.4^2)) of a pixel beside."""
+    light, dark = 200, 100
+    columns = np.indices(view.mask.shape)[1]
+    picture = np.repeat(np.where(columns % 2, light, dark)[..., None], 3, axis=2).astype(np.uint8)
+    striped = dataclasses.replace(view, rgb=picture, mask=np.ones_like(view.mask),
+                                  depth=np.full_like(view.depth, 0.0075 * view.intrinsics[0, 0]))
+    beside = np.exp(-0.5 / 0.4**2)
+    amplitude = 0.5 * np.log(((light / 255) ** 2.2 + 0.01) / ((dark / 255) ** 2.2 + 0.01))
+    taken = amplitude * (1.0 - (1.0 - 2.0 * beside) / (1.0 + 2.0 * beside))
+    finest = LocalDescriptor().image(striped).values[20:40, 20:40, 3]
+    assert finest == pytest.approx(np.log(taken), abs=1e-3)
