@@ -67,13 +67,9 @@ def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone()
 def test_stripes_of_a_pixel_have_the_energy_that_a_gaussian_of_0_4_pixels_takes_away(view):
     """On pixels of 7.5 mm, of the finest scale of 3 mm: it leaves the share (1 - 2 w) / (1 + 2 w) of columns that
     alternate, with w = exp(-1 / (2 0.4^2)) of a pixel beside."""
-    light, dark = 200, 100
-    columns = np.indices(view.mask.shape)[1]
-    picture = np.repeat(np.where(columns % 2, light, dark)[..., None], 3, axis=2).astype(np.uint8)
-    striped = dataclasses.replace(view, rgb=picture, mask=np.ones_like(view.mask),
-                                  depth=np.full_like(view.depth, 0.0075 * view.intrinsics[0, 0]))
-    beside = np.exp(-0.5 / 0.4**2)
-    amplitude = 0.5 * np.log(((light / 255) ** 2.2 + 0.01) / ((dark / 255) ** 2.2 + 0.01))
-    taken = amplitude * (1.0 - (1.0 - 2.0 * beside) / (1.0 + 2.0 * beside))
-    finest = LocalDescriptor().image(striped).values[20:40, 20:40, 3]
-    assert finest == pytest.approx(np.log(taken), abs=1e-3)
+    rgb = np.tile(np.uint8([200, 100])[None, :, None], (64, 32, 3))
+    depth = np.full_like(view.depth, 0.0075 * view.intrinsics[0, 0])
+    striped = dataclasses.replace(view, rgb=rgb, mask=depth > 0.0, depth=depth)
+    light, dark, beside = (200 / 255) ** 2.2 + 0.01, (100 / 255) ** 2.2 + 0.01, np.exp(-0.5 / 0.4**2)
+    assert LocalDescriptor().image(striped).values[20:40, 20:40, 3] == pytest.approx(
+        np.log(2.0 * np.log(light / dark) * beside / (1.0 + 2.0 * beside)), abs=1e-3)
