@@ -3,7 +3,7 @@
 `measurements/direct.py` has scikit-fem's elements and a Cholesky factor by CHOLMOD at every step, which ends at the
 balance that our tier asks. It presses our mesh with quadratic tetrahedra, with linear ones, and with linear ones into
 eight of which each of ours is cut, so that they have our nodes. Each press runs in a process of its own on one core.
-Its cost begins with the mesh: it counts the loading of compiled kernels, tables of elements, and factors.
+Its cost begins with the mesh: it counts tables of elements and factors, and no loading of kernels or libraries.
 
 S1, S2 and the block of foam are known for long: the local indentation was fitted on S1, the error that a foam is told
 on the block of foam, and S2 is the product's own example. The other five are presses of `references/presses.json` that
@@ -185,5 +185,5 @@ def found_of(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> 
         "the press", columns, rows, name="peers")], notes=[
             "scikit-fem: Newton's method with a new Cholesky factor by CHOLMOD in every step, from one symbolic factor "
             "with the order of AMD, until as little is unbalanced as the tier asks",
-            "set-up: factors and compiled kernels here, tables of elements and the symbolic factor there; the mesh and "
-            "imports are not counted"])
+            "set-up: factors here, tables of elements and the symbolic factor there; the mesh, "
+            "imports and the loading of kernels are not counted"])
