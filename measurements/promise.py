@@ -17,7 +17,7 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.disk import Store
 from vsfsim.data.manifest import ENOUGH, least_share, verdict
-from vsfsim.generate.trade.buy import LEAST, MOST, PILOT, SEED, Tried, bound, ended, ground_of, least_factor, touches
+from vsfsim.generate.trade.buy import LEAST, MOST, PILOT, SEED, Tried, ended, ground_of, least_factor, touches
 from vsfsim.generate.trade.setting import ROUGH
 
 SCENES = ("foam-block", *(str(Path(__file__).parent / "touched" / f"{name}.toml") for name in ("block", "column")),
@@ -27,9 +27,9 @@ GOALS = (0.05, 0.02, 0.01)
 
 def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[float] = GOALS, out: Path,
             workers: int | None = None, progress: Progress = lambda _: None) -> Measurement:
-    """Of each scene a pilot, then ``count`` touches of other objects, each under all settings and with a reference.
+    """Of each scene a pilot and ``count`` touches of further objects, each under all settings and with a reference.
 
-    What lies in the folder ``out`` is not made again.
+    What lies in the folder ``out`` is not made again. A pilot ends with the first touch that no goal allows.
 
     Raises:
         VsfsimError: no such scene, a goal that no touch could keep, or ``out`` cannot be written.
@@ -41,15 +41,17 @@ def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[
     for name in scenes:
         loaded = load_scene(find_scene(name))
         ground, _ = ground_of(loaded, device="cpu")
-        for goal in goals:
-            progress(f"{loaded.name} at {100 * goal:g} %")
-            made = []
-            for part, seed, number in (("pilot", SEED, PILOT), ("data", 0, count)):
-                folder = out / loaded.name / ("rough" * (goal >= ROUGH) + part)
-                made.append(list(touches(loaded, ground, goal, Request(seed=seed, objects=number, workers=workers),
-                                         Store(folder))))
-            rows.append(row_of(loaded.name, goal, [s.key for s in ground.steps()], made[0], made[1],
-                               sum(loaded.sample(0).required_touches.frames)))
+        request = Request(seed=SEED, objects=PILOT + count, workers=workers)
+        for some in filter(None, ([g for g in goals if g >= ROUGH], [g for g in goals if g < ROUGH])):
+            found, folder = dict[int, Tried](), out / loaded.name / ("rough" if some[0] >= ROUGH else "fine")
+            for number, touch in touches(loaded, ground, some[0], request, Store(folder)):
+                found[number] = touch
+                progress(f"{folder.relative_to(out)}: {len(found)} of {PILOT + count} touches")
+                if number < PILOT and touch.errors[-1] > max(some):
+                    break  # all of these goals are refused
+            made = [found[k] for k in sorted(found)]  # as they come the cheap ones are first
+            rows += [row_of(loaded.name, goal, [s.key for s in ground.steps()], made[:PILOT], made[PILOT:],
+                            sum(loaded.sample(0).required_touches.frames)) for goal in some]
     return found_of(rows, {"touches": count})
 
 
@@ -57,23 +59,22 @@ def row_of(scene: str, goal: float, steps: Sequence[str], pilot: Sequence[Tried]
            frames: int) -> dict[str, Any]:
     """What a goal [-] gives with the factor of a pilot: the share of other touches that are kept, and the processor
     time of a touch, which ``frames`` readings share, over that of the cheapest setting under which as many are."""
-    factor = bound([least_factor(touch.differences, touch.errors[1:], goal) for touch in pilot])
+    factor = max(least_factor(touch.differences, touch.errors[1:], goal) for touch in pilot)
+    if not np.isfinite(factor):
+        off, worst = sum(touch.errors[-1] > goal for touch in pilot), max(touch.errors[-1] for touch in pilot)
+        return {"scene": scene, "goal": goal, "single": "", "said":
+                f"refused: {off} of {len(pilot)} touches of the pilot are off by more under {steps[-1]}"
+                + (f", by up to {100 * worst:.2g} %" if np.isfinite(worst) else ", or lose a frame")}
     errors, seconds = (np.array([getattr(touch, name) for touch in data]) for name in ("errors", "seconds"))
     able = [k for k in range(len(steps)) if (errors[:, k] <= goal).mean() >= ENOUGH]
     single = min(able, key=lambda k: seconds[:, k].mean(), default=None)
-    row = {"scene": scene, "goal": goal, "audits": len(data), "single": "none" if single is None else steps[single],
-           "single_seconds": None if single is None else seconds[:, single].mean()}
-    if not np.isfinite(factor):
-        off = sum(touch.errors[-1] > goal for touch in pilot)
-        worst = max(touch.errors[-1] for touch in pilot)
-        return {**row, "said": f"refused: {off} of {PILOT} touches of the pilot are off by more under {steps[-1]}"
-                + (f", by up to {100 * worst:.2g} %" if np.isfinite(worst) else ", or lose a frame")}
     ends = [ended(touch.differences, factor, goal) for touch in data]
     kept = int(sum(errors[n, k + 1] <= goal for n, k in enumerate(ends)))
     cost = np.mean([seconds[n, :k + 2].sum() for n, k in enumerate(ends)])
     found = {"asked": goal, "observed": {"audits": len(data), "kept": kept}}
-    return {**row, "factor": factor, "kept": kept / len(data), "least": least_share(kept, len(data)), "cost": cost,
-            "over": None if single is None else cost / row["single_seconds"],
+    return {"scene": scene, "goal": goal, "audits": len(data), "single": "none" if single is None else steps[single],
+            "factor": factor, "kept": kept / len(data), "least": least_share(kept, len(data)), "cost": cost,
+            "over": None if single is None else cost / seconds[:, single].mean(),
             "pilot": sum(sum(touch.seconds) for touch in pilot) / (cost * READINGS / frames),
             "said": verdict(found)[0].partition(":")[0]}
 

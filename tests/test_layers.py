@@ -35,7 +35,7 @@ LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "vi
 BY_NAME = {"physics": {"scenes"}}
 """Layers whose modules a layer loads by a name that a user gave: a family is a file of scenes/."""
 
-PHYSICS = ({"laws"}, {"elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"bubble", "inverse", "rods"})
+PHYSICS = ({"laws", "elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"bubble", "inverse", "rods"})
 """Folders of `vsfsim/physics`: one imports those of its own row and of the rows before."""
 
 HEAVY = {

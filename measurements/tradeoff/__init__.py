@@ -18,7 +18,7 @@ import vsfsim
 from measurements.kept import Kept
 from measurements.tradeoff import front
 from measurements.tradeoff.front import Point
-from measurements.tradeoff.touches import DatasetTouches, Run, limits, sweep
+from measurements.tradeoff.touches import LARGEST, DatasetTouches, Run, limits, sweep, unsure
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.system.interactive import new_figure
@@ -26,6 +26,7 @@ from vsfsim.core.text_table import text_table
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade.setting import Setting
+from vsfsim.generate.workers import in_pool
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
 
@@ -69,11 +70,11 @@ class Tradeoff:
 
     def table(self) -> dict[str, Any]:
         """For JSON."""
-        return {**dataclasses.asdict(self), "sentences": self.sentences()}
+        return {**dataclasses.asdict(self), "commit": commit(), "sentences": self.sentences()}
 
 
 def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0,
-             device: str = "cpu", tiers_only: tuple[str, ...] = (),
+             device: str = "cpu", workers: int = 1, tiers_only: tuple[str, ...] = (),
              progress: Callable[[int, int, str], None] = lambda done, total, what: None) -> Tradeoff:
     """Measure what settings cost and miss on a scene, and write lines into a folder.
 
@@ -84,6 +85,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         objects: the first so many of the scene's.
         seed: as of `vsfsim generate`.
         device: Warp device.
+        workers: processes that make the limits, whose cost does not count.
         tiers_only: only these tiers; empty for all.
         progress: called with (done, in all, what).
 
@@ -102,15 +104,16 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be "
                           f"touched here; there are {', '.join(subject.pressable)}.")
     total, bounds, shares = subject.count + len(chosen), [], []
-    for k in range(subject.count):
-        row = lines.made(f"limit of touch {k}", lambda k=k: {  # type: ignore[misc]
-            "ladder": [subject.near(k, setting).table() for setting in subject.ground.ladder()]})
-        bound, share = limits([Run.read(mesh) for mesh in row["ladder"]])
+    keys = [f"limit of touch {k}" for k in range(subject.count)]
+    left = [k for k, key in enumerate(keys) if key not in lines.rows]
+    for k, found in in_pool(ladder_of, left, loaded, touches, seed, device, device=device, workers=workers):
+        progress(len(lines.rows), total, lines.add({"key": keys[k], "ladder": found})["key"])
+    for key in keys:
+        bound, share = limits([Run.read(mesh) for mesh in lines.rows[key]["ladder"]])
         bounds.append(bound)
         shares.append(share)
-        progress(k + 1, total, row["key"])
     said = tuple(_said(k, own["force"]) for k, own in enumerate(bounds))
-    if not any(own["force"].known for own in bounds):
+    if not any(unsure(own["force"]) <= LARGEST for own in bounds):
         raise VsfsimError(f"{loaded.path}: the limit of no touch is known: {'; '.join(said)}. Give "
                           "more --touches, or a finer resolution in [object], from which the "
                           "meshes of the limit start.")
@@ -128,6 +131,12 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         raise VsfsimError(f"{loaded.path}: no setting of the sweep can be made. "
                           + " ".join(f"{key}: {why}" for key, why in refused.items()))
     return Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), said, refused, machine_kind())
+
+
+def ladder_of(number: int, loaded: SceneFile, touches: int, seed: int, device: str) -> list[dict[str, Any]]:
+    """In a process of its own: a touch, of so many of each object, on the meshes of its limit."""
+    subject = DatasetTouches(loaded, touches=touches, first=number // touches, seed=seed, device=device)
+    return [subject.near(number % touches, setting).table() for setting in subject.ground.ladder()]
 
 
 def _made(subject: DatasetTouches, setting: Setting) -> dict[str, Any]:
@@ -148,12 +157,12 @@ def _shows(loaded: SceneFile, tier: str) -> bool:
 
 def _said(touch: int, force: Limit) -> str:
     """What is known of the limit of a touch."""
-    if not force.known:
-        size = f", known to {100 * force.size:.2g} % only" if np.isfinite(force.size) else ""
+    if not unsure(force) <= LARGEST:
+        size = f", known to {100 * unsure(force):.2g} % only" if np.isfinite(unsure(force)) else ""
         return f"touch {touch}: not used, {force.why}{size}"
     order = "" if force.order is None else f", order {force.order:.1f}"
     return (f"touch {touch}: {force.why}{order}; largest force "
-            f"{float(np.abs(force.value).max()):.4g} N, known to {100 * force.size:.2g} %")
+            f"{float(np.abs(force.value).max()):.4g} N, known to {100 * unsure(force):.2g} %")
 
 
 def draw(points: Sequence[Point], title: str) -> Any:

@@ -13,6 +13,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.data.manifest import NOISE
 from vsfsim.data.records import Touch
 from vsfsim.data.verify import unresolved_frames
 from vsfsim.generate.aim import Aim
@@ -24,7 +25,7 @@ from vsfsim.generate.trade.buy import ground_of
 from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
-from vsfsim.physics.convergence import Limit, curve_limit
+from vsfsim.physics.convergence import Limit, curve_limit, frames_limit
 from vsfsim.physics.linear.rest_factor import forget_all
 from vsfsim.physics.mesh.scan import forget_fillings
 
@@ -33,6 +34,8 @@ REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
 such a power, and the level there."""
 CANDIDATES = 3
 """Touches that are drawn for each that is taken."""
+LARGEST = 0.03
+"""Error of a limit from which it counts as unknown [-]."""
 WHOLE = 0.75
 """Share of the frames of a touch that must have an equilibrium on all meshes of its limit [-]."""
 
@@ -92,7 +95,7 @@ class Run:
 
 
 class DatasetTouches:
-    """Touches of the first objects of a scene, aimed once.
+    """Touches of objects of a scene, aimed once.
 
     Of `CANDIDATES` times as many that are drawn, those are taken that cover depths and places: one from each part of
     the depths, the farthest from those taken before.
@@ -101,6 +104,7 @@ class DatasetTouches:
         loaded: the scene, with ``[touches]``.
         touches: of each object.
         objects: how many.
+        first: number of the first.
         seed: as of `vsfsim generate`.
         device: Warp device.
 
@@ -108,8 +112,9 @@ class DatasetTouches:
         SceneError: the scene cannot be touched so.
     """
 
-    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu"):
-        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
+    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, first: int = 0, seed: int = 0,
+                 device: str = "cpu"):
+        recipe = make_recipe(loaded, seed=seed, objects=first + objects, views=1, touches=CANDIDATES * touches)
         scene, whole = loaded.sample(0), make_recipe(loaded)
         self.ground, self.effector = ground_of(loaded, device=device)
         self.own = Setting(recipe.tier, tiers.element_size(scene.required_object, recipe.tier, scene.probe))
@@ -121,7 +126,7 @@ class DatasetTouches:
         self.pressable = [name for name in tiers.TIERS if name != "fem-fine" and self._can(scene, name)]
         """Tiers at which its effector can touch."""
         self._device, self._warm = device, set[str]()
-        subjects = [prepare(job, device=device) for job in jobs_of(recipe, loaded.path, ".")]
+        subjects = [prepare(job, device=device) for job in jobs_of(recipe, loaded.path, ".")[first:]]
         drawn = [(subject, self.effector.aim(subject, device=device)) for subject in subjects]
         self._drawn = [(subject, [aims[k] for k in spread([a.depth for a in aims], np.stack([a.target for a in aims]),
                                                           touches)]) for subject, aims in drawn]
@@ -231,7 +236,13 @@ def limits(ladder: Sequence[Run]) -> tuple[dict[str, Limit], np.ndarray]:
     if nothing:
         found["force"] = np.full(found["force"].shape, np.nan)
     edge, tolerance = [run.edge[0] for run in ladder], tiers.TIERS[LIMIT_TIER].tolerance
-    out = {name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()}
+    out = {name: frames_limit(edge, values, NOISE, tolerance=tolerance) if name == "force" else
+           curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()}
     if nothing:
         out["force"] = dataclasses.replace(out["force"], why="it met nothing")
     return (out, curves[-1].share[on] if few else curves[-1].share)
+
+
+def unsure(limit: Limit) -> float:
+    """Root mean square of the error of a limit over its largest value [-]."""
+    return float(np.sqrt(np.mean(limit.error**2)) / max(float(np.abs(limit.value).max(initial=0.0)), 1e-300))

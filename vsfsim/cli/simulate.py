@@ -142,7 +142,7 @@ def _terminated(*_: Any) -> NoReturn:
 @command(lab)
 def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4, objects: AtLeastOne = 1,
              tier: list[str] | None = None, picture: Picture = None, seed: Seed = 0, device: Device = "cpu",
-             json: JsonFile = None) -> None:
+             workers: AtLeastOne = 1, json: JsonFile = None) -> None:
     """Measure what a cheaper simulation of a scene costs its readings, in a checkout.
 
     The same touches are made at every tier, element size, tolerance and number of frames, and each reading is compared
@@ -155,6 +155,7 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
         objects: The first so many objects of the scene.
         tier: Only this tier; may be given again.
         picture: Also draw error against time here.
+        workers: Processes that make the limits, whose cost does not count.
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import checkout, find_scene
@@ -170,7 +171,7 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
     folder = out or Path("tradeoff") / loaded.name
     with Progress("tradeoff") as progress:
         found = command.tradeoff(loaded, folder, touches=touches, objects=objects, seed=seed, device=device,
-                                 tiers_only=tuple(tier or ()), progress=progress)
+                                 workers=workers, tiers_only=tuple(tier or ()), progress=progress)
     if picture is not None:
         write_figure(command.draw(found.points, f"{found.scene}: {found.what}"), picture)
     report(found.text(), found.table(), json)

@@ -16,7 +16,7 @@ import numpy as np
 
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
-from vsfsim.data.manifest import apart
+from vsfsim.data.manifest import NOISE, apart
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.streams import Stream
 from vsfsim.generate.aim import Aim
@@ -27,7 +27,7 @@ from vsfsim.generate.trade.setting import LIMIT_TIER, LOCAL, MESHES, RATIO, Sett
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
-from vsfsim.physics.convergence import curve_limit
+from vsfsim.physics.convergence import frames_limit
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
 from vsfsim.sensing.cut import Elements
@@ -117,14 +117,14 @@ class OnSolids(abc.ABC):
     def reference(self, subject: Subject, a: Aim, ladder: Sequence[Setting], *, made: Mapping[Setting, Touch],
                   device: str) -> dict[str, np.ndarray]:
         """Columns of the audit of a touch: its force extrapolated from the meshes of a ladder, its error (see
-        `vsfsim.physics.convergence.curve_limit`), and the frames with an equilibrium on all; ``made`` is there."""
+        `vsfsim.physics.convergence.frames_limit`), and the frames with an equilibrium on all; ``made`` is there."""
         each = [made.get(setting) or self.touched(subject, [a], setting, device=device)[0] for setting in ladder]
         found = np.all([one.converged & np.isfinite(one.force).all(axis=1) for one in each], axis=0)
         value, error = np.zeros((len(found), 3)), np.zeros(len(found))
         if found.any():
             edge = [self.contact_edge(subject.scene, a, setting.level or 0)[1] for setting in ladder]
-            limit = curve_limit(edge, np.stack([one.force[found] for one in each]),
-                                tolerance=tiers.TIERS[LIMIT_TIER].tolerance)
+            limit = frames_limit(edge, np.stack([one.force[found] for one in each]), NOISE,
+                                 tolerance=tiers.TIERS[LIMIT_TIER].tolerance)
             value[found], error[found] = limit.value, np.linalg.norm(limit.error, axis=1)
         return {"reference_force": value, "reference_error": error, "reference_converged": found}
 

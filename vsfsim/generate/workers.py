@@ -126,8 +126,8 @@ def sharing(device: str) -> int:
     return max(1, min(_ON_A_GPU, os.cpu_count() or 1, warp.get_device(device).total_memory // _ROOM))
 
 
-def in_pool(function: Callable[..., Any], jobs: Sequence[Job], *arguments: Any, device: str,
-            workers: int | None) -> Iterator[tuple[Job, Any]]:
+def in_pool(function: Callable[..., Any], jobs: Sequence[Any], *arguments: Any, device: str,
+            workers: int | None) -> Iterator[tuple[Any, Any]]:
     """Each job with what ``function`` made of it in one process, as they come; the rest as of `make_each`.
 
     Raises:

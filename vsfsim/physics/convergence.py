@@ -12,6 +12,7 @@ A single quantity that goes up and down, or whose steps do not shrink, is not ex
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 SAFETY = 1.25  # safety factor of the error for three meshes or more (Roache 1994) [-]
-LARGEST = 0.03  # error of a curve's limit, over its largest value, beyond which the limit counts as unknown [-]
 FLAT = 1.0  # order of a force, which is an energy over a way, where displacements go with the root of the distance from
 #             a line, as at a crack, the strongest singularity of an elastic body; a lower observed order is chance [-]
 STEEP = 4.0  # order of an integral of stresses with quadratic elements; a higher observed order is chance [-]
@@ -98,16 +98,6 @@ class Limit:
     why: str
     """How the value was found, or why its error is not known, in words."""
 
-    @property
-    def known(self) -> bool:
-        """Whether the error is small enough."""
-        return self.size <= LARGEST
-
-    @property
-    def size(self) -> float:
-        """Root mean square of the error over the largest value [-]."""
-        return float(np.sqrt(np.mean(self.error**2)) / max(float(np.abs(self.value).max(initial=0.0)), 1e-300))
-
 
 def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float, flat: float = FLAT) -> Limit:
     """The limit of a whole curve, from the last three meshes.
@@ -117,7 +107,7 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float, 
     ``flat`` and at most `STEEP`. Where the second step goes
     on in the direction of the first, the curve is extrapolated. Where it turns back, the finest mesh's curve is taken,
     and its error is at least the last step. Where the steps do not shrink there is no order: the finest mesh's curve is
-    taken with `SAFETY` times the spread of the three as its error. A limit whose error is over `LARGEST` is not known.
+    taken with `SAFETY` times the spread of the three as its error.
 
     Args:
         edge: h of each mesh, coarsest first (k,) [m].
@@ -150,3 +140,18 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float, 
         value, error = f[-1], np.maximum(error, np.abs(last))
         why = "the readings go up and down from mesh to mesh, ever less"
     return Limit(value, error, order, why)
+
+
+def frames_limit(edge: Sequence[float], values: np.ndarray, least: float, *, tolerance: float) -> Limit:
+    """`curve_limit` of forces (k, T, ...) whose errors count by the force in the same frame, where that is above
+    ``least`` [N]: each is taken over its size, so that the deepest frames do not decide what the shallow ones are off.
+    Smaller ones are those of the finest mesh, and their errors the spread."""
+    size = np.linalg.norm(values.reshape(*values.shape[:2], -1), axis=2).max(axis=0)
+    on = size > least
+    if not on.any() or not np.isfinite(values).all():
+        return curve_limit(edge, values, tolerance=tolerance)
+    size = size[on].reshape(-1, *[1] * (values.ndim - 2))
+    found = curve_limit(edge, values[:, on] / size, tolerance=tolerance)
+    value, error = values[-1].copy(), np.ptp(values, axis=0)
+    value[on], error[on] = found.value * size, found.error * size
+    return dataclasses.replace(found, value=value, error=error)

@@ -30,7 +30,7 @@ from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.disk import Store
 from vsfsim.data.lines import FOLDER, TOUCH
-from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, RISK, apart, error_against
+from vsfsim.data.manifest import MANIFEST, PART_MANIFEST, apart, error_against
 from vsfsim.data.provenance import made_by
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
@@ -47,7 +47,8 @@ from vsfsim.physics.runtime import compile_kernels
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
 PILOT = 59
-"""Touches of the pilot, each of an object of its own: the least number of which the largest is a `bound`."""
+"""Touches of the pilot, each of an object of its own: the least number of which at least `ENOUGH` of all of their kind
+are under the largest, but for a probability of `RISK`."""
 SEED = 1_000_003
 """Added to the seed of a dataset for the objects and touches of its pilot, which are others."""
 AUDITS = 29, 100
@@ -79,19 +80,20 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
         return there
     (ground, _), tried = ground_of(loaded, device=request.device), list[Tried]()
     steps, ladder = ground.steps(), ground.ladder(asked)
-    for touch in touches(loaded, ground, asked, request.but(seed=request.seed + SEED, objects=PILOT), Store(folder)):
+    pilot = request.but(seed=request.seed + SEED, objects=PILOT)
+    for _, touch in touches(loaded, ground, asked, pilot, Store(folder)):
         tried.append(touch)
         if len(tried) == 1:
             said(f"--accuracy {100 * asked:g} %: a pilot of {PILOT} touches of different objects, about "
                  f"{PILOT * sum(touch.seconds):.0f} s of processor time")
         request.progress(len(tried), PILOT, "touches of the pilot")
-    factor = bound([least_factor(touch.differences, touch.errors[1:], asked) for touch in tried])
+    factor = max(least_factor(touch.differences, touch.errors[1:], asked) for touch in tried)
     last = [touch.errors[-1] for touch in tried]
     if math.isinf(factor):
         raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot "
                          f"{sum(error > asked for error in last)} of {PILOT} touches are off by more under the finest "
                          f"setting, {steps[-1].key}, the worst by {_percent(max(last))}, the error of its reference "
-                         f"included. Ask for {_percent(bound(last))} or more, or give [object] a finer resolution.")
+                         f"included. Ask for more than that, or give [object] a finer resolution.")
     ends = [ended(touch.differences, factor, asked) for touch in tried]
     total = recipe.objects * recipe.views * recipe.touches
     audits = min(total, max(AUDITS[0], min(AUDITS[1], total // 10)))
@@ -118,28 +120,31 @@ class Tried:
     """Processor time of each setting, then of what a reference needs besides [s]."""
 
 
-def touches(loaded: SceneFile, ground: Setting, asked: float, request: Request, store: Store) -> Iterator[Tried]:
-    """A touch of each object of a request as they come, each made by one process. Each lies in the folder of the lines
-    of a dataset until that is finished, and is not made again there for an accuracy of the same reference.
+def touches(loaded: SceneFile, ground: Setting, asked: float, request: Request,
+            store: Store) -> Iterator[tuple[int, Tried]]:
+    """The number of each object of a request and a touch of it, as they come, each made by one process. Each lies in
+    the folder of the lines of a dataset until that is finished, and is not made again there for an accuracy of the same
+    reference, or for another number of objects.
 
     Raises:
         VsfsimError: of the first that cannot be made; the others are then cancelled.
     """
     recipe, left = make_recipe(loaded, request, views=1, touches=1), list[Job]()
     steps, ladder = ground.steps(), ground.ladder(asked)
-    words = [recipe.table(), made_by(), *(setting.table() for setting in (*steps, *ladder))]
+    words = [dataclasses.replace(recipe, objects=0, splits={}).table(), made_by(),
+             *(setting.table() for setting in (*steps, *ladder))]
     mark = hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
     for job in jobs_of(recipe, loaded.path, "."):
         there = from_json(store.get(f"{FOLDER}/{job.name}{TOUCH}") or b"{}")
         if there.get("of") == mark:
-            yield Tried(there["differences"], there["errors"], there["seconds"])
+            yield job.object_index, Tried(there["differences"], there["errors"], there["seconds"])
         else:
             left.append(job)
     try:
         for job, touch in in_pool(_tried, left, steps, ladder, request.device, device=request.device,
                                   workers=request.workers):
             store.put(f"{FOLDER}/{job.name}{TOUCH}", json.dumps({"of": mark, **dataclasses.asdict(touch)}).encode())
-            yield touch
+            yield job.object_index, touch
     except BrokenProcessPool as error:
         raise DatasetError(ENDED.format("touch of the pilot")) from error
 
@@ -195,12 +200,6 @@ def least_factor(differences: Sequence[float], errors: Sequence[float], asked: f
 def ended(differences: Sequence[float], factor: float, asked: float) -> int:
     """The first difference of settings that keeps what was asked by the factor, or the last."""
     return next((k for k, d in enumerate(differences) if factor * d <= asked), len(differences) - 1)
-
-
-def bound(values: Sequence[float]) -> float:
-    """What at least `ENOUGH` of all of a kind are under, but for a probability of `RISK`: the largest of so many that
-    are drawn; infinite if they are too few."""
-    return max(values) if ENOUGH ** len(values) <= RISK else math.inf
 
 
 def _percent(share: float) -> str:

@@ -11,14 +11,14 @@ RATIO = 1.3
 LOCAL = 0.5
 """Longest edge of the elements where a touch meets the object, over the radius of the contact, on level 0; on each
 further level smaller by `RATIO`, see `vsfsim.generate.on_solids` [-]."""
-STEPS = ((1, None), (0, None), (0, 1), (-1, 2))
+STEPS = ((2, None), (1, None), (0, None), (0, 1), (-1, 2))
 """Settings that a touch of a promise goes through until it is exact enough: elements as the scene's own times `RATIO`
 to such a power, and the level where it meets the object."""
 LIMIT_TIER = "fem"
 """Of the meshes from which the limit of a touch is extrapolated; its law is that of every finer tier."""
 MESHES = 3
 """Of the limit."""
-ROUGH = 0.05
+ROUGH = 0.02
 """Accuracy from which the coarser limit will do, whose larger error counts against every touch [-]."""
 
 

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from vsfsim.physics.elements import deformation
 from vsfsim.physics.elements.block import Block, nodal, struct_of
-from vsfsim.physics.laws import deformation
 from vsfsim.physics.runtime import mat33, real
 
 COLLECTIVE = True

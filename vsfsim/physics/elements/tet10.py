@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements import tet10_shape
+from vsfsim.physics.elements import deformation, tet10_shape
 from vsfsim.physics.elements.block import Block, element_kernels, struct_of
 from vsfsim.physics.elements.tet10_shape import shape_gradients
-from vsfsim.physics.laws import deformation, neo_hooke
+from vsfsim.physics.laws import neo_hooke
 from vsfsim.physics.laws.catalogue import LAWS
 from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.runtime import mat33, real

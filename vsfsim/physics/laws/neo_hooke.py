@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.laws import deformation
+from vsfsim.physics.elements import deformation
 from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.runtime import mat33, real, vec3
 
