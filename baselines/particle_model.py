@@ -232,6 +232,10 @@ class ObjectShelf:
     objects: dict[bytes, ParticleModel] = field(default_factory=dict)
     """By the digest of their views."""
 
+    def __reduce__(self) -> tuple[type[ObjectShelf], tuple[VsfSettings]]:
+        """A copy in another process begins empty: trials ask about other views than those that were learned from."""
+        return ObjectShelf, (self.settings,)
+
     def get(self, view: View) -> ParticleModel:
         """The model of the object behind ``view``."""
         key = digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)

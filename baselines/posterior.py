@@ -17,7 +17,7 @@ from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.data.records import View
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
-from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.estimate.structured import reading_std, structured_map
 from vsfsim.vsf.meta.calibration import Missed, Width
 from vsfsim.vsf.meta.composition import GaussianPrior
 
@@ -114,23 +114,19 @@ class Posterior:
         nearest one if there is none). The std is the mean of theirs, as if they erred together.
         """
         spacing = self.model.settings.spacing
-        std = self._std()
         tree = cKDTree(self.model.particles)
         nearest = tree.query(points)[1]
         near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
         groups = [np.asarray(group if group else [n]) for group, n in zip(near, nearest)]
-        cell = self.model.cell
+        cell, used = self.model.cell, np.unique(np.concatenate([nearest, *groups]))
+        std = np.zeros(len(self.stiffness))
+        std[used] = self._reading_std(sparse.identity(len(std), format="csr")[used])
         return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / cell,
                         np.array([std[g].mean() for g in groups]) / cell)
 
     def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         """Of readings to come, rows (q, n), without their own noise (q,)."""
         return reading_std(self.rows, rows, noise_std=self.model.settings.noise_std, prior=self.prior)
-
-    def _std(self) -> np.ndarray:
-        """Of each particle's spring constant (n,) [N/m]."""
-        return structured_std(self.rows, noise_std=self.model.settings.noise_std,
-                              prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
 
 
 @dataclass
@@ -158,9 +154,6 @@ class Filtered(Posterior):
 
     def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         return np.sqrt(sparse.csr_matrix(rows).power(2) @ self.var)
-
-    def _std(self) -> np.ndarray:
-        return np.sqrt(self.var)
 
 
 @converted

@@ -185,10 +185,6 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         self.posterior = Posterior.under(self._as_noisy(model), support, self._priors[id(model)])
         self.posterior.width = self._width
 
-    def share(self, other: Sbml) -> None:
-        """Use the particles, rows and features of ``other``, which has the same settings."""
-        self.shelf = other.shelf
-
     def save(self, folder: Path) -> None:
         """Write the prior to a folder, which is made if missing."""
         if not self._trained or self._normaliser is None:
@@ -256,7 +252,8 @@ class Sbml(PosteriorAnswers, LearnedArrays):
     def _near(self, model: ParticleModel, view: View) -> np.ndarray:
         """Particles within two spacings of the visible surface, where touches reach (n,) bool."""
         far = 2.0 * self.shelf.settings.spacing
-        return cKDTree(visible_cloud(view)).query(model.particles, distance_upper_bound=1.001 * far)[0] <= far
+        tree = cKDTree(visible_cloud(view), compact_nodes=False)
+        return tree.query(model.particles, distance_upper_bound=1.001 * far)[0] <= far
 
     def _build(self, size: int, spread: Spread, seed: int, level_std: float = 0.0) -> MetaPrior:
         import torch

@@ -151,8 +151,8 @@ def _keep_record(task: Task, data: Dataset, out: Path) -> None:
     write_list([entry for entry in listed().values() if entry.task != task.name], out / LIST)
 
 
-def planned(only: str | None) -> tuple[str, list[list[str]]]:
-    """What a release makes of a task, or of all, as a table with its CPU minutes and whether it is there, and for JSON.
+def planned(only: Sequence[str] | None) -> tuple[str, list[list[str]]]:
+    """What a release makes of some tasks or of all: a table with its CPU minutes and whether it is there, and for JSON.
 
     Raises:
         TaskError: there is no such task in the table, or it is damaged.
@@ -166,11 +166,11 @@ def planned(only: str | None) -> tuple[str, list[list[str]]]:
     return "\n".join([table, *said]), rows
 
 
-def release(only: str | None, workers: int, progress: Progress) -> tuple[str, list[str]]:
-    """Make and ship what a release makes of a task, or of all, and is not there.
+def release(only: Sequence[str] | None, workers: int, progress: Progress) -> tuple[str, list[str]]:
+    """Make and ship what a release makes of some tasks, or of all, and is not there.
 
     Args:
-        only: name of the task, None for all. workers: trainings and trials at a time. progress: as of
+        only: names of the tasks, None for all. workers: trainings and trials at a time. progress: as of
         `vsfsim.bench.evaluate.evaluate`.
 
     Returns:
@@ -189,9 +189,9 @@ def release(only: str | None, workers: int, progress: Progress) -> tuple[str, li
     return "\n".join([*left_out(asked), "python docs/make.py results   # writes the pages' tables"]), list(found)
 
 
-def _asked(only: str | None) -> list[Whole]:
+def _asked(only: Sequence[str] | None) -> list[Whole]:
     known = plan()
-    return [Whole(name, known[name]) for name in (known if only is None else [one_of(only, known, "--only")])]
+    return [Whole(name, known[name]) for name in [one_of(name, known, "--only") for name in only or ()] or known]
 
 
 def left_out(asked: Sequence[Whole]) -> list[str]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, sparse
 
-from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.estimate.structured import reading_std, structured_map
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior, segment
 
 
@@ -46,10 +46,9 @@ def test_std_where_only_shared_components_vary_is_the_limit_of_little_variance_o
     g = sparse.csr_matrix(rng.uniform(0.0, 1.0, (40, 5)))
     def prior(own):
         return GaussianPrior(np.zeros(40), np.full(40, own), g, np.zeros(5), np.array([1.0, 4.0, 9.0, 1.0, 2.0]))
-    for std in (lambda p: structured_std(w, noise_std=0.3, prior=p),
-                lambda p: reading_std(w, query, noise_std=0.3, prior=p)):
-        assert std(prior(0.0)) == pytest.approx(std(prior(1e-9)), rel=1e-5)
-        assert (std(prior(0.0)) > 0.0).all()
+    for rows in (np.eye(40), query):
+        none, little = (reading_std(w, rows, noise_std=0.3, prior=prior(v)) for v in (0.0, 1e-9))
+        assert none == pytest.approx(little, rel=1e-5) and (none > 0.0).all()
 
 
 @pytest.mark.parametrize("m, n, s", [(12, 20, 0), (12, 20, 1), (30, 8, 2), (5, 30, 10)])
@@ -68,7 +67,7 @@ def test_map_and_std_are_those_of_the_dense_program(m, n, s):
                                 np.concatenate([z / noise, root @ prior.total_mean()]), maxiter=10_000)
     assert 0 < np.count_nonzero(expected == 0.0) < n
     np.testing.assert_allclose(result, expected, atol=1e-9 * expected.max())
-    std = structured_std(sparse.csr_matrix(w), noise_std=noise, prior=prior)
+    std = reading_std(sparse.csr_matrix(w), np.eye(n), noise_std=noise, prior=prior)
     np.testing.assert_allclose(std, np.sqrt(np.diag(np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w))),
                                rtol=1e-9)
     query = rng.normal(size=(7, n))

@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear, nnls
 
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.pivoting import kkt_residual
-from vsfsim.vsf.estimate.structured import structured_std
+from vsfsim.vsf.estimate.structured import reading_std
 from vsfsim.vsf.meta.composition import GaussianPrior
 
 
@@ -83,7 +83,7 @@ def test_one_particle_in_closed_form():
     for z, expected in ((0.5, (10 / 4 + 0.02 * 0.5 / 0.01) / (1 / 4 + 4e-4 / 0.01)), (-3.0, 0.0)):
         result = map_estimate(np.array([[0.02]]), np.array([z]), noise_std=0.1, prior_mean=10.0, prior_var=4.0)
         assert result[0] == pytest.approx(expected, rel=1e-12)
-    std = structured_std(sparse.csr_matrix([[0.02]]), noise_std=0.1, prior=GaussianPrior.plain(10.0, 4.0, 1))
+    std = reading_std(sparse.csr_matrix([[0.02]]), np.eye(1), noise_std=0.1, prior=GaussianPrior.plain(10.0, 4.0, 1))
     assert std[0] == pytest.approx((1 / 4 + 4e-4 / 0.01) ** -0.5, rel=1e-12)
 
 

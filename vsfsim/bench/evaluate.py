@@ -269,9 +269,11 @@ def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan
                 raise MethodError(message)
         return
     gpus = _gpus() if row.parameters.get("device") == "cuda" else []
+    # trainings that run side by side share the cores
+    threads = os.environ.get("OMP_NUM_THREADS") or str(max((os.cpu_count() or 1) // workers, 1))
     with ThreadPoolExecutor(workers) as waits, ThreadPoolExecutor(workers) as pool:
-        going = [waits.submit(row.make, job, reader, pool, tell,
-                              {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if gpus else {})
+        going = [waits.submit(row.make, job, reader, pool, tell, {"OMP_NUM_THREADS": threads} | (
+            {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if gpus else {}))
                  for number, job in enumerate(left)]
         try:
             for ready in as_completed(going):
@@ -285,9 +287,8 @@ def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan
 
 def _train(item: tuple[Evaluation, Job]) -> None:
     """In a task of a cluster."""
-    one, job = item
-    with one, ThreadPoolExecutor(1) as pool:
-        one.make(job, Reader(), pool)
+    with item[0] as one, ThreadPoolExecutor(1) as pool:
+        one.make(item[1], Reader(), pool)
 
 
 def _gpus() -> list[str]:

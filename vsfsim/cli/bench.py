@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 KnownTask = Annotated[str | None, typer.Option(autocompletion=complete_task)]
+KnownTasks = Annotated[list[str] | None, typer.Option(autocompletion=complete_task)]
 Results = Annotated[list[Path] | None, typer.Argument(metavar="RESULT")]
 
 
@@ -301,15 +302,15 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
 
 
 @command(lab)
-def release(only: KnownTask = None, dry: Annotated[bool, typer.Option("--dry-run")] = False, workers: AtLeastOne = 1,
-            json: JsonFile = None) -> None:
+def release(only: KnownTasks = None, dry: Annotated[bool, typer.Option("--dry-run")] = False,
+            workers: AtLeastOne = 1, json: JsonFile = None) -> None:
     """Make every row, audit and study that ships, and the list of what made each.
 
     For developers, in a checkout: rows go to leaderboard/, results stay in results/. What is there and current is kept,
     and the same command goes on after an interruption, also on another machine.
 
     Args:
-        only: Name of a task; default: all of leaderboard/release.toml.
+        only: Name of a task, may be given again; default: all of leaderboard/release.toml.
         dry: Print what is there and what is missing, with CPU minutes.
         workers: Trainings and trials at the same time.
     """

@@ -126,7 +126,7 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
 
     assert set(state().values()) == {"missing"}
     monkeypatch.chdir(make_folder(tmp_path / "one"))
-    said, _ = release.release("toy-v1", 1, lambda *_: None)
+    said, _ = release.release(["toy-v1"], 1, lambda *_: None)
     assert said.startswith("left out of study toy: all; too large\n")
     assert asked == ["contact-points.tuned", "resim"] and made == [["toy"]]
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "study toy"}
@@ -135,15 +135,15 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     (tmp_path / "leaderboard" / "toy-v1" / "resim.json").unlink()
     monkeypatch.chdir(make_folder(tmp_path / "two"))
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "resim", "audit"}
-    release.release("toy-v1", 1, lambda *_: None)
+    release.release(["toy-v1"], 1, lambda *_: None)
     assert asked[2:] == ["resim"] and set(state().values()) == {"there"}
-    release.release("toy-v1", 1, lambda *_: None)
+    release.release(["toy-v1"], 1, lambda *_: None)
     assert len(asked) == 3, "nothing is made twice"
     part.fresh["contact-points.tuned"] = 1.0  # a method that fails on a fresh seed stops no study
     lacking.append("half")
     monkeypatch.setattr(release.Whole, "_on", lambda *_: load_task("no-such"))
     with pytest.raises(TaskError, match=r"^toy-v1, audit: unknown task 'no-such'"):
-        release.release("toy-v1", 1, lambda *_: None)
+        release.release(["toy-v1"], 1, lambda *_: None)
     assert made[-1] == ["toy"] and not part.fresh.clear() and not lacking.clear()
     monkeypatch.setattr(release, "changed", lambda name, *_: ["the method"] * (name == "contact-points"))
     assert [what for what, how in state().items() if how == "missing"] == ["dataset", "contact-points.tuned", "audit"]

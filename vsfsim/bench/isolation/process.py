@@ -247,8 +247,9 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
                      "box": self._places if self.isolation.sandbox != "process" else None,
                      "cache": self._kernels, "folder": str(self._folder), "check": check,
                      "most": LARGEST_LOG, "memory": self.isolation.memory}
-            variables = {**environment(os.environ), "WARP_CACHE_PATH": kernels(),
-                         **({"CUDA_VISIBLE_DEVICES": ""} if hide else {})}
+            # Threads of OpenBLAS spin while they wait: where processes run side by side, most of their time is that.
+            variables = {"OPENBLAS_NUM_THREADS": "1", **environment(os.environ), **(
+                {"CUDA_VISIBLE_DEVICES": ""} if hide else {}), "WARP_CACHE_PATH": kernels()}
             with open(self.log, "ab") as log:
                 host = subprocess.Popen([sys.executable, "-c", _START], stdin=subprocess.PIPE, stdout=log,
                                         stderr=log, cwd=self._folder, env=variables,

@@ -74,14 +74,6 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
     return theta
 
 
-def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
-    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
-
-    Args, Raises: as `structured_map`; variances of the heterogeneous components may be 0.
-    """
-    return reading_std(w, sparse.identity(w.shape[1], format="csr"), noise_std=noise_std, prior=prior)
-
-
 def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float,
                 prior: GaussianPrior) -> np.ndarray:
     """Standard deviation of Q theta, without the readings' own noise and without K >= 0 (q,).
@@ -99,8 +91,6 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
     query_shared = (query @ prior.membership).toarray()
     before = query.multiply(query) @ prior.var + query_shared**2 @ prior.group_var
     a = _compressed(sparse.csr_matrix(w), noise_std)
-    if a.shape[0] == 0:
-        return np.sqrt(before)
     shared = (a @ prior.membership).toarray()
     weighted = a @ sparse.diags_array(prior.var)
     spread = (weighted @ a.T).toarray() + (shared * prior.group_var) @ shared.T

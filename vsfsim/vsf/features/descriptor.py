@@ -31,7 +31,8 @@ class LocalDescriptor:
         """Dense features, one cell a pixel (H, W, 6)."""
         mask = np.asarray(view.mask, bool)
         pixel_size = float(np.median(view.depth[mask])) / float(view.intrinsics[0, 0])
-        values = np.stack(_colour(view.rgb, mask, pixel_size), axis=-1).astype(np.float32)
+        values, part = np.zeros((*mask.shape, 6), np.float32), _around(mask, int(4.0 * SCALES[-1] / pixel_size) + 2)
+        values[part] = np.stack(_colour(view.rgb[part], mask[part], pixel_size), axis=-1)
         visible = values[mask].astype(np.float64)
         token = np.concatenate([visible.mean(axis=0), visible.std(axis=0)])
         return FeatureImage(values, mask, token.astype(np.float32))
@@ -46,9 +47,20 @@ class LocalDescriptor:
 def depth_and_distance(view: View, projected: Projection) -> np.ndarray:
     """Logarithms of the particles' depth behind the surface and of their distance to the nearest visible point, over
     their spacing (n, 2) [-]."""
-    away = cKDTree(view.points()).query(projected.points)[0]
+    # nodes that are cells, not boxes around points, are searched three times faster from deep inside an object
+    away = cKDTree(view.points(), compact_nodes=False).query(projected.points)[0]
     behind = np.clip(projected.behind, 0.0, _DEEPEST)
     return np.log1p(np.stack([behind, away], axis=1) / projected.spacing)
+
+
+def _around(mask: np.ndarray, apart: int) -> tuple[slice, ...]:
+    """The part of an image within ``apart`` pixels of the mask, in rows and in columns.
+
+    A blur ends at four sigma and mirrors the image at its borders. With two sigma and a pixel around it, the mask is
+    blurred as in the whole image, because no pixel of it sees another one in the mirror of a border that is new.
+    """
+    return tuple(slice(max(int(at.min()) - apart, 0), int(at.max()) + apart + 1)
+                 for at in np.nonzero(mask))
 
 
 class _Blur:
