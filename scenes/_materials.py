@@ -7,7 +7,7 @@ tension is far stiffer. They are chosen to span 1e4 to 1e7 Pa, the range that SB
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,7 +44,7 @@ COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12,
               (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
 """Colours of whole shoes, linear RGB, 0 to 1."""
 SOLE_MATERIAL = "ribbed-rubber"
-"""Class of the sole in `TEXTURED` and `GRADED`."""
+"""Class of the sole in `TEXTURED`."""
 TEXTURED: dict[str, MaterialClass] = {
     "knit": MaterialClass((4e4, 1.2e5), COLOURWAYS, "weave", (0.008, 0.013), (0.80, 0.95)),
     "fleece": MaterialClass((1.2e5, 4e5), COLOURWAYS, "noise", (0.009, 0.014), (0.65, 0.85)),
@@ -55,15 +55,6 @@ TEXTURED: dict[str, MaterialClass] = {
 }
 """Classes whose colour does not depend on the material: all parts of a shoe share one colour of `COLOURWAYS`. The
 texture does: a softer material has a coarser relief, from a loose knit to moulded plastic."""
-GRADED: dict[str, MaterialClass] = {
-    **{name: replace(TEXTURED[name], young_modulus=(0.84 * middle, 1.19 * middle))
-       for name, middle in (("knit", 1.2e5), ("fleece", 2.4e5), ("felt", 4.8e5), ("leather", 9.6e5),
-                            ("plastic", 1.92e6))},
-    SOLE_MATERIAL: replace(TEXTURED[SOLE_MATERIAL], young_modulus=(2e6, 3e6)),
-}
-"""The appearances of `TEXTURED` with five grades of stiffness. Each modulus is twice the previous one and varies by at
-most a fifth. The forces of a fingertip's press then span 20 to 1, as for the papers' shoes; with `TEXTURED` they span
-250 to 1."""
 
 
 def draw_modulus(name: str, rng: np.random.Generator, *, table: Mapping[str, MaterialClass] = CLASSES) -> float:

@@ -82,10 +82,10 @@ class ShoeOptions:
     """Largest relative deviation from the style's form, for values that the scene does not give [-]."""
     appearance_informative: Annotated[float, between(0.0, 1.0)] = 0.8
     """Probability that a region has the appearance of its own material [-]."""
-    materials: Literal["style", "any", "graded"] = "style"
+    materials: Literal["style", "any"] = "style"
     """With "style", the style's own materials, which colour and texture indicate. With "any", most parts except the
-    sole are of one class of `_materials.TEXTURED` in a random colour, so that only the texture indicates the material.
-    With "graded", the same with the moduli of `_materials.GRADED`."""
+    sole are of one class of `_materials.TEXTURED` in a random colour, so that only the texture indicates the
+    material."""
 
 
 def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator,

@@ -23,7 +23,6 @@ from vsfsim.core.solid import Solid
 from vsfsim.scenes._diagonals import improve_rank
 from vsfsim.scenes._materials import (
     CLASSES,
-    GRADED,
     SOLE_MATERIAL,
     TEXTURED,
     MaterialClass,
@@ -49,7 +48,7 @@ LONGEST_CELL = 3.0
 theory, and at the coarsest tier no usual wall (5.7 mm and more) is affected. A curved wall needs smaller cells, because
 its bending decays over sqrt(radius * wall)."""
 _OTHER_PART = 0.2
-"""Probability that a part of a shoe with `materials` "any" or "graded" gets a random class, not the common one."""
+"""Probability that a part of a shoe with `materials` "any" gets a random class, not the common one."""
 
 
 def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution: float, where: str) -> Solid:
@@ -70,7 +69,7 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     form, options = read_parameters(parameters, rng, where)
     vertices, hexes, hex_region, rank = mesh(form, min(resolution, LONGEST_CELL * form.wall))
     vertices, tets, owner = divide(form, options.side, vertices, hexes, rank)
-    table = {"style": CLASSES, "any": TEXTURED, "graded": GRADED}[options.materials]
+    table = TEXTURED if options.materials == "any" else CLASSES
     young_modulus, classes = _moduli(STYLES[options.style].materials if table is CLASSES else None, rng, table=table)
     look = draw_appearance(classes, young_modulus, options.appearance_informative, rng, table=table)
     made_of = ", ".join(f"{region} {material}" for region, material in zip(REGIONS, classes))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -13,7 +12,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import TEXTURES, Solid, smallest_sine, tet_volumes
 from vsfsim.physics.mesh.validity import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import shoe
-from vsfsim.scenes._materials import CLASSES, GRADED, SOLE_MATERIAL, TEXTURED, draw_appearance
+from vsfsim.scenes._materials import CLASSES, SOLE_MATERIAL, TEXTURED, draw_appearance
 from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
 # Degrees. 200 draws over the full range of every parameter gave 5.7 at least.
@@ -118,19 +117,6 @@ def test_appearance_goes_with_the_material_but_not_perfectly() -> None:
     assert -0.6 < correlation < -0.1
     sure = draw_appearance(names, modulus, 1.0, np.random.default_rng(0))
     assert set(sure.texture) == {"grain"}
-
-
-def test_graded_shoes_look_like_those_of_any_material_and_are_of_five_narrow_grades() -> None:
-    grades = sorted(m.young_modulus for name, m in GRADED.items() if name != SOLE_MATERIAL)
-    assert all(high < after[0] for (_, high), after in itertools.pairwise(grades)), "no two overlap"
-    for seed in range(4):
-        graded, wide = (make(seed, resolution=0.03, materials=materials, appearance_informative=1.0)
-                        for materials in ("graded", "any"))
-        assert graded.appearance.texture == wide.appearance.texture
-        for region, (modulus, texture) in enumerate(zip(graded.young_modulus, graded.appearance.texture)):
-            allowed = [m for name, m in GRADED.items() if m.texture == texture
-                       and (name == SOLE_MATERIAL) == (REGIONS[region] == "sole")]
-            assert any(m.young_modulus[0] <= modulus <= m.young_modulus[1] for m in allowed)
 
 
 def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:

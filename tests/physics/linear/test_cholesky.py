@@ -38,14 +38,6 @@ def _chain(count):
     return sp.kron(line, np.eye(3)).tocsr(), np.column_stack([np.arange(count), np.zeros((count, 2))])
 
 
-def test_an_order_finds_its_blocks_and_fills_in_far_less_than_all(model):
-    order = model.preconditioner.order
-    row = np.repeat(np.arange(len(order.place) // 3), np.diff(order.start))
-    assert np.array_equal(order.find(row, order.neighbours), np.arange(len(row)))
-    assert order.find(np.array([0]), np.array([len(order.place) // 3 - 1])) == -1
-    assert order.entries < 0.2 * len(order.place) ** 2
-
-
 def test_a_loose_part_is_refused():
     matrix, points = _chain(60)
     loose = matrix.tolil()
