@@ -58,8 +58,9 @@ def leaderboard(task: str, *, short: bool = False) -> str:
     from vsfsim.core.plain_text import markdown as escaped
 
     board = board_of(task)
-    notes = [f"{line[0].upper()}{line[1:]}." for line in footnotes(board, escaped) if not short and line.startswith(
-        ("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
+    # without what is said of rows that are not ranked and of the column that is not there
+    notes = [f"{line[0].upper()}{line[1:]}." for line in footnotes(board, escaped)
+             if not line.startswith(("* ", "evidence, ")) and (not short or "unresolved" in line)]
     ceilings = ", ".join(dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING))
     notes += [f"\\* Not ranked ({ceilings}): {CEILING}."] * bool(ceilings)
     head, rows = cells(board, escaped)

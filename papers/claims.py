@@ -8,7 +8,7 @@ the paper's. Where a result is missing, the claim cannot be told and the command
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -61,19 +61,18 @@ class Verdict:
         return Question(self.difference, one.equal, higher, (better - worse if higher else worse - better) / worse)
 
 
-def all_verdicts(asked: Sequence[Study] | None = None, *, boards: dict[str, Board] | None = None, made: bool = True
+def all_verdicts(asked: Iterable[Study] = (), *, boards: dict[str, Board] | None = None, made: bool = True
                  ) -> list[Verdict]:
     """The claims of some studies beside their stored results; all together are one family.
 
     Args:
-        asked: the studies, None for all that ship. boards, made: as of `papers.results.stored`.
+        asked: the studies; default: all that ship. boards, made: as of `papers.results.stored`.
 
     Raises:
         TaskError: a result is damaged.
     """
     boards = {} if boards is None else boards
-    known = [load_study(name) for name in studies()] if asked is None else asked
-    found = [_verdict(study, claim, rows) for study in known if study.claims
+    found = [_verdict(study, claim, rows) for study in asked or map(load_study, studies()) if study.claims
              for rows in [stored(study, boards, made)] for claim in study.claims]
     return [dataclasses.replace(v, answers=a) for v, a in zip(found, answers([v.question for v in found]), strict=True)]
 
@@ -131,11 +130,11 @@ def cells(number: int, v: Verdict) -> list[str]:
 
 def text(verdicts: Sequence[Verdict]) -> str:
     """The verdicts for a terminal, numbered, with the rows behind them and the command that makes each."""
-    rows = [cells(k, v) for k, v in enumerate(verdicts, start=1)]
-    lines = [text_table(list(HEAD), rows), "", counts(verdicts), RULE]
-    lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
+    numbered = list(enumerate(verdicts, start=1))
+    lines = [text_table(list(HEAD), [cells(k, v) for k, v in numbered]), "", counts(verdicts), RULE]
+    lines += [f"{k}: {v.claim.note}" for k, v in numbered if v.claim.note]
     for words, there in (("Rows behind the answers, and what makes them:", True), ("Rows that are missing:", False)):
-        asked = [(k, v) for k, v in enumerate(verdicts, start=1) if (v.difference is not None) == there]
+        asked = [(k, v) for k, v in numbered if (v.difference is not None) == there]
         numbers = {row: ", ".join(str(k) for k, v in asked if row in v.rows.items())
                    for _, v in asked for row in v.rows.items()}
         lines += ["", words] * bool(numbers)

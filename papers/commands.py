@@ -66,6 +66,8 @@ def claims(json: JsonFile = None) -> None:
     commands behind it.
     """
     from papers import claims as judged
+    from papers.study import load_study, studies
 
-    verdicts = judged.all_verdicts()
+    with Progress("claims") as progress:
+        verdicts = judged.all_verdicts(progress.over(studies(), load_study))
     report(judged.text(verdicts), judged.table(verdicts), json)

@@ -58,19 +58,24 @@ def test_the_scenes_of_the_pages_parse(tmp_path):
 
 
 def test_every_command_and_option_exists():
-    """Names in capitals are the reader's; options are looked up in the command's own help."""
+    """Those of the blocks, and the first words of those that sentences, messages, boards and the list of evidence have.
+    Names in capitals are the reader's; options are looked up in the command's own help."""
     from typer.main import get_command
 
     from vsfsim.cli.main import app
     from vsfsim.core import shelf
 
     found = [(page.name, words) for page in PAGES for words in commands(page.read_text())]
-    whole, tasks, methods = get_command(app), shelf.tasks(), shelf.methods()
     assert len(found) > 40
+    for where in ("[!C]*.md", "docs/**/*.md", "leaderboard/*.*", "vsfsim/**/*.py", "vsfsim/bench/board/pages/*"):
+        found += [(path.name, re.findall("[a-z-]+", said)) for path in ROOT.glob(where) for said in re.findall(
+            r'[`:[]"?vsfsim(?: |", ")([a-z][a-z-]*(?:(?: |", ")[a-z][a-z-]*)?)', path.read_text())]
+    whole, tasks, methods = get_command(app), shelf.tasks(), shelf.methods()
     for page, given in found:
         command, words = whole, list(given)
         while words and words[0] in getattr(command, "commands", {}):
             command = command.commands[words.pop(0)]
+        assert not hasattr(command, "commands") or not words or words[0].startswith("-"), (page, given)
         parameters = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
         assert {w for w in words if w.startswith("--")} <= parameters | {"--help"}, (page, given)
         for key, shelved in (("--task", tasks), ("--method", methods)):

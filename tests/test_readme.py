@@ -1,7 +1,6 @@
 """What README and CONTRIBUTING show works as it stands there: scenes, the method, commands, paths."""
 
 import re
-import subprocess
 import sys
 import trace
 from collections import Counter
@@ -9,12 +8,7 @@ from collections import Counter
 import mock_dataset
 import pytest
 from pages import CONTRIBUTING, README, ROOT, blocks, named
-
-
-def vsfsim(*words, cwd):
-    """With -P, like the console script: Python itself does not look into the current folder."""
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words],
-                          capture_output=True, text=True, cwd=cwd)
+from test_bad_input import run as vsfsim
 
 
 def test_the_readme_is_short():

@@ -7,7 +7,7 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.admission.fingerprint import make_record
-from vsfsim.bench.board.rows import CLAIMED
+from vsfsim.bench.board.rows import CLAIMED, PREDICTIONS, command_of
 from vsfsim.bench.commands.score import score_predictions
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import Answer, metrics_of, scores_of
@@ -35,8 +35,9 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
 def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, tmp_path):
     for name, result in zip("abc", results):
         dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
-    dataclasses.replace(results[1], method="stranger", dataset_sha256="f" * 64).save(tmp_path / "d.json")
-    dataclasses.replace(results[1], method="older", task_sha256="e" * 64).save(tmp_path / "e.json")
+    for name, more in {"stranger": {"dataset_sha256": "f" * 64, "isolation": "namespaces"},
+                       "older": {"task_sha256": "e" * 64, "isolation": "", "entry": PREDICTIONS}}.items():
+        dataclasses.replace(results[1], method=name, **more).save(tmp_path / f"{name}.json")
     board = leaderboard.collect(task, [tmp_path])
     mean = {n: r.scores["rmse"]["5"].mean for n, r in zip("abc", results)}
     ranked = [row.result.method for row in board.rows if row.rank]
@@ -45,6 +46,8 @@ def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, t
     text = leaderboard.text(board)
     assert "stranger: other dataset (ffffffffffff), of which nothing is known, not ranked" in text
     assert "older: other text" in text
+    assert f"but in a process that can read the user's files: {', '.join(ranked)}\n" in text
+    assert "scored from a file, so that nothing kept its method from the answers: older\n" in text
     assert f"<td>{ranked[0]}</td>" in leaderboard.page([board])
 
 
@@ -72,8 +75,8 @@ def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task,
     made = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
     for k, (name, change) in enumerate({
             "same": {}, "source": {"contents": {**made.contents, "the method": "0" * 64}}, "silent": {"contents": {}},
-            "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where"}, "package": {"package": {"name": "p"}},
-            "ceiling": {"method": "resim"}}.items()):
+            "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where"},
+            "package": {"package": {"name": "p"}}, "ceiling": {"method": "resim"}}.items()):
         scaled = [(1.0 + 0.1 * k) ** 2 * v for v in made.queries["sse"]]
         one = dataclasses.replace(made, queries={**made.queries, "sse": scaled}, **change)
         dataclasses.replace(one, scores=one.computed()).save(tmp_path / f"{name}.json")
@@ -100,6 +103,7 @@ def test_predictions_from_a_file_score_like_the_method_itself(results, task, toy
     np.savez(tmp_path / "p.npz", **answers)
     scored = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="elsewhere")
     assert scored.scores["rmse"] == results[2].scores["rmse"]
+    assert command_of(scored) == "vsfsim lab score FILE --task toy-v1 --name elsewhere"
     for change, message in ((lambda a: a.pop(next(iter(a))), "have no '"),
                             (lambda a: a.update(x=np.zeros(1)), "does not ask"),
                             (lambda a: a.update({next(iter(a)): np.full((12, 1), np.nan)}), "is nan in frame 0")):

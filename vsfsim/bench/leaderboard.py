@@ -14,15 +14,7 @@ from typing import Any
 from vsfsim.bench.admission.admit import Row, admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
 from vsfsim.bench.board.compare import AREA, LEVEL, Runs, interval, means, ranks, shares, wins
-from vsfsim.bench.board.rows import (
-    CEILING,
-    CLAIMED,
-    EARLIER,
-    absent,
-    contradicts,
-    is_same,
-    listed,
-)
+from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, absent, contradicts, is_same, listed
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.result import Result, score_text, unit_of
 from vsfsim.bench.task import Task
@@ -224,9 +216,9 @@ def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     odd = dict.fromkeys(f"{shown(row.result.method)}: {shown(row.mark)}" for row in board.rows
                         if row.mark not in ("", EARLIER))
     return filled("notes.txt", board=board, task=board.task, odd=odd, possible=possible(board), earlier=EARLIER,
-                  absent=absent(board.task.name, there), apart=f"{1.0 - LEVEL:.0%}",
+                  absent=absent(board.task.name, there), apart=f"{1.0 - LEVEL:.0%}", predictions=PREDICTIONS,
                   shares=" + ".join(f"{share:.2f} of {label}-shot" for label, share in shares(board.task).items()),
-                  correlated=any("stiffness_spearman" in row.scores for row in board.rows)).splitlines()
+                  correlated=any("stiffness_spearman" in row.scores for row in board.rows), shown=shown).splitlines()
 
 
 def interval_text(values: Runs) -> str:

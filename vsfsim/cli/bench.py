@@ -209,13 +209,9 @@ def leaderboard(results: Results = None, task: KnownTask = None, html: Path | No
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
 
-    boards = list[board.Board]()
-    names = [task] if task else list(shelf.tasks())
     with Progress("leaderboard") as told:
-        for name in names:
-            told(len(boards), len(names), name)
-            wanted = load_task(name)
-            boards.append(board.collect(wanted, results or _own(wanted)))
+        boards = [board.collect(wanted, results or _own(wanted))
+                  for wanted in told.over([task] if task else shelf.tasks(), load_task)]
     text, tables = "\n\n".join(map(board.text, boards)), list(map(board.table, boards))
     if html is not None:
         from vsfsim.data.disk import write_atomic

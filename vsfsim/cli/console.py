@@ -7,6 +7,7 @@ import math
 import shutil
 import sys
 import time
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ class Progress:
         self.label, self._live = label, sys.stderr.isatty()
         self._interval = 0.1 if self._live else interval
         self._total = self._first = -1
-        self._start = self._written = time.perf_counter()
+        self._start, self._written = time.perf_counter(), -math.inf  # the first line comes at once
 
     def __enter__(self) -> Progress:
         if self._live:
@@ -49,6 +50,12 @@ class Progress:
             self._rewrite(line)
         else:
             print(line, file=sys.stderr, flush=True)
+
+    def over(self, names: Collection[str], load: Callable[[str], Any]) -> Iterator[Any]:
+        """What each name stands for, loaded when it is its turn, which is told."""
+        for done, name in enumerate(names):
+            self(done, len(names), name)
+            yield load(name)
 
     @staticmethod
     def _rewrite(line: str) -> None:

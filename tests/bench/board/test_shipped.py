@@ -162,8 +162,8 @@ def test_what_does_not_ship_is_left_out_and_told(monkeypatch):
     assert of_study.startswith("left out of study shoes-features: dinov2-s, dinov2-b; the published weights do not")
 
 
-def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_path, monkeypatch, write_dataset,
-                                                      toy_views):
+def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_path, monkeypatch,
+                                                      write_dataset, toy_views):
     """Those of a machine that rounds otherwise do not: the record stays."""
     elsewhere(monkeypatch, tmp_path)
     out = tmp_path / "leaderboard"

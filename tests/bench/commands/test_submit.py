@@ -36,8 +36,8 @@ def test_a_good_row_is_written_with_its_pull_request(result, task, installed, tm
     assert Result.load(row) == Result.load(tmp_path / "r.json")
     assert collect(task, [row]).rows[0].rank == 1
     request = (tmp_path / "out" / "PULL_REQUEST.md").read_text()
-    for words in ("pip install toys==1.2", task.dataset.command(), command_of(result, whole=True), "rank 1 of 1",
-                  result.contents["the method"], result.dataset_sha256):
+    for words in ("pip install toys==1.2", task.dataset.command(), command_of(result, whole=True),
+                  "rank 1 of 1", result.contents["the method"], result.dataset_sha256):
         assert words in request, words
 
 
@@ -48,8 +48,8 @@ def test_a_good_row_is_written_with_its_pull_request(result, task, installed, tm
     (lambda r: {"contents": {}}, "does not say of which source"),
     (lambda r: {"study": {"objects": 0.5}}, "a study's"),
 ])
-def test_what_the_board_would_not_rank_is_refused_and_nothing_is_written(result, task, installed, tmp_path, change,
-                                                                         message):
+def test_what_the_board_would_not_rank_is_refused_and_nothing_is_written(result, task, installed,
+                                                                         tmp_path, change, message):
     dataclasses.replace(result, **change(result)).save(tmp_path / "r.json")
     with pytest.raises(TaskError, match=message):
         submit(tmp_path / "r.json", tmp_path / "out", task=task)

@@ -145,7 +145,7 @@ def command_of(result: Result, *, whole: bool = False) -> str:
         result: the result. whole: every parameter of the method is named, also those of its preset.
     """
     if result.entry == PREDICTIONS:
-        return shlex.join(["vsfsim", "score", "FILE", "--task", result.task, "--name", result.method])
+        return shlex.join(["vsfsim", "lab", "score", "FILE", "--task", result.task, "--name", result.method])
     words = ["vsfsim", "evaluate", "--method", result.method, *(["--preset", result.preset] if result.preset else [])]
     for key, value in result.parameters.items() if whole else ():
         words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"] * (value is not None)
