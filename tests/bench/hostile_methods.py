@@ -140,12 +140,6 @@ class Sleeps(Hostile):
         time.sleep(1000.0)
 
 
-class Allocates(Hostile):
-    def predict(self, touches):
-        waste = np.ones(4 * 2**30 // 8)
-        return [waste[: len(touch.time), None] for touch in touches]
-
-
 class Answers(Hostile):
     """With the value of the code that the environment holds."""
 
