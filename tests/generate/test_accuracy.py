@@ -40,6 +40,8 @@ def test_the_least_factor_keeps_every_setting_that_breaks_it_from_being_taken():
             assert errors[buy.ended(differences, 0.999 * factor, asked)] > asked
     assert buy.least_factor(differences, errors, 0.005) == np.inf
     assert buy.least_factor([np.inf, 0.01], [np.inf, 0.01], 0.02) <= 1.0 + 1e-6  # a lost frame always goes on
+    one, less = (SimpleNamespace(force=np.full((1, 3), f), converged=np.ones(1, bool)) for f in (1.0, 0.01))
+    assert apart(one, one) == np.inf and apart(less, less) == 0.0  # of one mesh; below the noise
 
 
 def test_the_largest_of_a_pilot_bounds_enough_of_all():
@@ -62,17 +64,17 @@ def test_the_finest_meshes_of_a_promise_serve_its_reference():
 def test_a_touch_that_loses_a_frame_goes_on_whatever_the_factor():
     """And one that loses none ends under the second setting; the factor is 0, with which all of a pilot were kept."""
     force, steps = np.array([[0.0, 0.0, 1.0]]), GROUND.steps()
-    levels = [setting.level for setting in steps]
 
     def touched(subject, aims, setting, *, device):
-        return [SimpleNamespace(force=force, converged=np.array([a == "whole" or setting != steps[1]]), made=setting)
+        here = steps.index(setting)
+        return [SimpleNamespace(force=force * here, converged=np.array([a == "whole" or here != 1]), made=setting)
                 for a in aims]
 
     recipe = SimpleNamespace(objects=1, views=1)
     subject = SimpleNamespace(job=SimpleNamespace(recipe=recipe, object_index=0, view_index=0, stream=lambda kind: 0))
     promise = {"asked": 0.05, "factor": 0.0, "audits": 0, "steps": [s.table() for s in steps], "ladder": []}
     made = OnSolids._promised(SimpleNamespace(touched=touched), subject, ["whole", "lost"], promise, device="cpu")
-    assert [levels.index(one.made.level, 1) for one in made] == [1, 3]
+    assert [steps.index(one.made) for one in made] == [1, 3]
 
 
 def touches(scene, ground, asked, request, store):

@@ -38,6 +38,8 @@ NOISE = 0.15
 [N]."""
 ENOUGH, SURE = 0.95, 0.90
 """Share of the touches that a promise holds for, and the least that its audits must show [-]."""
+ROUNDING = 1e-6
+"""Difference of two simulations on one mesh, at most [-]."""
 RISK = 0.05
 """Probability with which either verdict of a promise may be wrong [-]."""
 
@@ -205,8 +207,10 @@ def error_against(force: np.ndarray, converged: np.ndarray, wanted: np.ndarray, 
 
 
 def apart(coarse: Touch, fine: Touch) -> float:
-    """By how much two simulations of a touch differ, see `error_against`; 0 if neither meets anything."""
-    return error_against(coarse.force, coarse.converged, fine.force, fine.converged) or 0.0
+    """By how much two simulations of a touch differ, see `error_against`; 0 if neither meets anything, and infinite if
+    they are the same but for rounding, because two settings that gave one mesh tell nothing of its error."""
+    off = error_against(coarse.force, coarse.converged, fine.force, fine.converged)
+    return 0.0 if off is None else off if off > ROUNDING else float("inf")
 
 
 def observed(options: Mapping[str, Any], errors: Sequence[float]) -> dict[str, Any] | None:
