@@ -51,12 +51,12 @@ def test_the_table_of_a_scene_and_what_its_record_gives_again(monkeypatch, tmp_p
 def test_touches_count_by_number(tmp_path, monkeypatch):
     """However they come: the dear ones, which end last, are not those of the data."""
     def some(loaded, ground, goal, request, store):
+        store.put("manifest/a.touch", b"{}")
         return reversed(list(enumerate([*touches(PILOT), *touches(request.objects - PILOT, 0.03)])))
 
     monkeypatch.setattr(promise, "touches", some)
     (row,) = promise.measure(("foam-block",), 30, goals=(0.02,), out=tmp_path / "new").record()["promise"]
     assert (row["audits"], row["kept"]) == (30, 0.5)
-    (tmp_path / "file").touch()
-    for goal, out, refused in ((5.0, "new", "--goal is 5; .* 0.05"), (0.04, "file", "file.* be (made|read)")):
+    for goal, out, refused in ((5.0, "new", "--goal is 5; .* 0.05"), (0.04, __file__, "test_promise.* be (made|read)")):
         with pytest.raises(VsfsimError, match=refused):
             promise.measure(("foam-block",), 30, goals=(goal,), out=tmp_path / out)
