@@ -70,7 +70,7 @@ def test_a_damaged_file_is_refused(results, tmp_path, change):
 
 def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
     """Each row that every board should have is of the release or in `leaderboard/absent.toml`, never both."""
-    wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml"}
+    wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml", "neural-vsf", "grid-vsf"}
     known = methods().keys() | ceilings().keys()
     assert set(rows.plan()) == set(shelf.tasks())
     for task in map(load_task, shelf.tasks()):
