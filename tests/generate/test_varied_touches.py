@@ -51,8 +51,9 @@ def test_the_spring_is_in_equilibrium_with_the_object(made):
     poses[..., :3, 3] -= given[..., None] * axis
     # a rigid mount that leads the probe to where the spring let it go meets the same force
     alone = Solver(model, job.scene().probe, options=tiers.options("linear"), linear=True).run(poses)
-    assert alone.converged.all()
-    assert np.abs(alone.force - force).max() < 1e-3 * np.abs(force).max()
+    assert alone.converged.all() and np.abs(alone.force - force).max() < 1e-3 * np.abs(force).max()
+    told = np.stack([t.audit["mesh_error"] for t in view.touches], axis=1)
+    assert told == pytest.approx(alone.mesh_error, rel=5e-3) and alone.law_error.max() > 1e-3
 
 
 def test_the_mount_goes_as_planned(made):
@@ -78,7 +79,9 @@ def test_a_contact_that_is_noticed_late_is_a_deeper_press_than_recorded():
 
 
 def test_elements_of_each_touch_are_small_where_it_meets_the_object():
+    # small strain is off by more than the mesh, as elements turn inside out
+    rigid = {"mount_stiffness": None, "tier": '"fem-coarse"'}
     for edge, resolves in ("", False), ("contact_edge = 0.5\n", True):
         small = ("sphere = 0.015", "sphere = 0.004"), ("tilt =", f"{edge}tilt ="), ("count = 4", "count = 2")
-        for touch in EFFECTOR.make_view(_job(*small, mount_stiffness=None), device="cpu").touches:
+        for touch in EFFECTOR.make_view(_job(*small, **rigid), device="cpu").touches:
             assert (touch.audit["mesh_error"].max() <= LIMIT) == resolves and touch.converged.all()

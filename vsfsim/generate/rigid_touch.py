@@ -6,7 +6,6 @@ planned; the probe is where the spring and the contact balance, see `vsfsim.phys
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -57,9 +56,6 @@ def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device:
         frames = solver.run(placed, start=body_poses(scene, starts(scene, part, poses[0])), keep=keep,
                             mount=None if spring is None else Mount(spring, np.stack([a.axis for a in part])),
                             progress=lambda _, k=width: progress(k))  # type: ignore[misc]
-        if keep and solver.linear:  # a press; the released datasets of this tier are marked without it
-            law = np.where(frames.mesh_error > 0.0, solver.law_error, 0.0)
-            frames = dataclasses.replace(frames, mesh_error=np.hypot(frames.mesh_error, law))
         # obstacles do not belong to the probe
         force = frames.force - frames.body_force[:, :, bodies:].sum(axis=2) if scene.obstacles else frames.force
         yield solver, frames, [_record(a, poses[:, k], force[:, k], frames, k, solver, spring)

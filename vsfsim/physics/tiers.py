@@ -22,7 +22,6 @@ from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.inclusions import held_stiffness, mixed_modulus, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
-from vsfsim.physics.mesh.resolved import TURNED
 from vsfsim.physics.model import Model, build_model, regional_tetrahedra, tetrahedra
 from vsfsim.physics.solve.frames import SolverOptions
 
@@ -92,11 +91,11 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     return tier
 
 
-def turned_too_far(scene: Scene, asked: str | None, tier: str, rotation: np.ndarray) -> bool:
-    """Whether elements turned (T,) [rad] further than a ``tier`` follows that neither the caller, who ``asked`` for
-    one, nor the scene names."""
+def leaves(scene: Scene, asked: str | None, tier: str, past: np.ndarray) -> bool:
+    """Whether a press whose frames are ``past`` small strain (T,) bool leaves a ``tier`` of small strain that neither
+    the caller, who ``asked`` for one, nor the scene names."""
     free = asked in (None, "auto") and scene.object.tier == "auto"
-    return free and not TIERS[tier].nonlinear and bool((rotation > TURNED).any())
+    return free and not TIERS[tier].nonlinear and bool(past.any())
 
 
 def elements(scene: Scene, tier: str) -> list[tuple[str, str]]:

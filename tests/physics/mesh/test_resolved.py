@@ -23,13 +23,11 @@ def pressed(radius, depth, *, tier="fem-coarse", at=(0.0, 0.0), top=0.05, above=
 {{ path = {[[*at, high], [*at, high - depth]]}, frames = {frames} }}""", **given).sample(0), Request(tier=tier))
 
 
-@pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015)])
-def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure(radius, depth, element):
-    result = pressed(radius, depth, resolution=element)
-    assert result.resolved is not None and not result.resolved.any()
-    said = result.text()
-    assert "NOT RESOLVED" in said and "does NOT resolve the contact in 3 of 3 frames" in said
-    assert (result.more["mesh_error"][result.converged] > LIMIT).all()
+def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure():
+    result = pressed(0.003, 0.010, resolution=0.015)
+    assert not result.resolved.any() and (result.more["mesh_error"][result.converged] > LIMIT).all()
+    assert "NOT RESOLVED" in result.text()
+    assert "does NOT resolve the contact in 3 of 3 frames" in result.text()
 
 
 def test_a_ball_that_the_mesh_resolves_is_not_marked():
@@ -78,7 +76,7 @@ def test_det_f_at_corners_is_that_of_the_displacements(block):
 
 
 def test_a_frame_counts_by_error_corner_rotation_and_parts():
-    error, corner = np.array([0.0, 0.05, 0.2, 0.05, np.nan]), np.array([1.0, 0.5, 0.5, -0.1, np.nan])
+    error, corner = np.array([0, 0.05, 0.2, 0.05, np.nan]), np.array([1.0, 0.5, 0.5, -0.1, np.nan])
     assert resolved(error, corner, 0.0, np.ones(5, bool)).tolist() == [True, True, False, False, True]
     assert resolved(error, corner, np.array([0.2, 0.1, 0.0, 0.0, 0.0]), np.ones(5, bool)).tolist()[:2] == [False, True]
     assert resolved(error, corner, 0.0, np.ones(5, bool), parts=0.6).tolist()[:2] == [True, False]
@@ -145,27 +143,30 @@ def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, 
 FOAM = {"material": '"pe-foam"', "poisson_ratio": None, "young_modulus": None}
 
 
-@pytest.mark.parametrize(("depth", "exact"), [(0.001, 1.374), (0.005, 15.50)])
-def test_the_error_under_a_foam_is_not_told_as_that_of_rubber(depth, exact):
-    """`references/foam_block.json`: at 1 mm the force was off by 14 % and told 6; the local indentation that makes up
-    for small contacts is known for the neo-Hookean law alone."""
-    result = press_of("box = [0.10, 0.10, 0.05]", FOAM, "sphere = 0.02", 0.07, depth, tier="fem-coarse")
-    off = abs(float(result.normal_force[-1]) / exact - 1.0)
-    assert off < result.more["mesh_error"][-1] + 0.02, "2 % is the reference's own"
-    assert not result.resolved[-1] or off < 0.1
+BLOCK, SLAB, COARSE = [0.10, 0.10, 0.05], [0.06, 0.05, 0.03], {"resolution": 0.012}
 
 
-@pytest.mark.parametrize("beta", [0.0, 3.0])
-def test_a_foam_of_another_poissons_ratio_is_that_of_hertz_or_marked(beta):
-    """nu = beta / (1 + 2 beta), 0 to 0.43, on a bonded block (`references/closed_forms.py`)."""
+def foam(beta):
+    """A foam of E = 1e5 Pa and nu = beta / (1 + 2 beta) on a bonded block (`references/closed_forms.py`), pressed."""
     nu = beta / (1.0 + 2.0 * beta)
-    law = f"{{ name = \"hyperfoam\", mu = 1e5, alpha = 4.0, beta = {beta} }}"
-    body = {"law": law, "poisson_ratio": nu}
-    depths = np.array([0.0005, 0.001])
-    result = press_of("box = [0.10, 0.10, 0.05]", body, "sphere = 0.02", 0.07, depths[-1], frames=2, tier="fem-coarse")
-    exact = [hertz_layer(depth, young_modulus=1e5, poisson_ratio=nu, radius=0.02, height=0.05)[1] for depth in depths]
-    off, told = np.abs(result.normal_force / exact - 1.0), result.more["mesh_error"]
-    assert result.converged.all() and ((off < 0.05) | ~result.resolved & (off < told + 0.02)).all(), (off, told)
+    body = {"law": f'{{ name = "hyperfoam", mu = 1e5, alpha = 4.0, beta = {beta} }}', "poisson_ratio": nu}
+    exact = hertz_layer(0.001, young_modulus=1e5, poisson_ratio=nu, radius=0.02, height=0.05)[1]
+    return BLOCK, body, "sphere = 0.02", 0.07, 0.001, exact, 0.02
+
+
+@pytest.mark.parametrize(("size", "body", "probe", "top", "depth", "exact", "unsure"), [
+    (BLOCK, FOAM, "sphere = 0.02", 0.07, 0.001, 1.374, 0.02), foam(0.0), foam(3.0),
+    (BLOCK, FOAM, "sphere = 0.02", 0.07, 0.005, 15.50, 0.02),
+    (SLAB, COARSE, "capsule = [0.006, 0.012]", 0.036, 0.003, 4.29, 0.0),
+    (SLAB, COARSE, "capsule = [0.006, 0.03]", 0.036, 0.001, 1.849, 0.0)])
+def test_the_error_is_not_told_as_of_a_ball_on_rubber(size, body, probe, top, depth, exact, unsure):
+    """`references/foam_block.json`: at 1 mm the force was off by 14 % and told 6; the local indentation that makes up
+    for small contacts is known for the neo-Hookean law alone. Under capsules on their side, whose forces are those on
+    elements of 2.7 mm, it was off by 7 % and told 5.6 and 2.9, of the circle that has the contact's area."""
+    turn = 0.5 * np.pi * (probe[0] == "c")
+    result = press_of(f"box = {size}", body, probe, top, depth, turn=turn, tier="fem-coarse")
+    off = abs(float(result.normal_force[-1]) / exact - 1.0)
+    assert off < result.more["mesh_error"][-1] + unsure and (off < 0.1 or not result.resolved[-1])
 
 
 PLATE = {"resolution": 0.004, "fixed": [-0.04, -0.03, -0.001, -0.015, 0.03, 0.02], "young_modulus": 1e6}
@@ -186,8 +187,11 @@ def test_small_strain_is_told_where_elements_turn_further_than_it_follows(shape,
     assert not (marked and result.resolved.any())
 
 
-def test_a_scene_that_chose_no_tier_gets_one_that_follows_rotations():
-    shape, body = "box = [0.06, 0.02, 0.010]", {**PLATE, "resolution": 0.010}
-    free, asked = (press_of(shape, body, "sphere = 0.006", 0.016, 0.006, x=0.024, tier=tier) for tier in (None, "fem"))
+@pytest.mark.parametrize(("shape", "body", "probe", "top", "depth", "x"), [
+    ("box = [0.06, 0.02, 0.010]", PLATE, "sphere = 0.006", 0.016, 0.006, 0.024),
+    ("box = [0.02, 0.02, 0.02]", {}, "plane = true", 0.02, 0.004, 0.0)], ids=["turned", "squeezed"])
+def test_a_scene_that_chose_no_tier_gets_one_that_follows_it(shape, body, probe, top, depth, x):
+    body, turn = {**body, "resolution": 0.010}, np.pi * (probe[0] == "p")
+    free, asked = (press_of(shape, body, probe, top, depth, x=x, turn=turn, tier=tier) for tier in (None, "fem"))
     assert free.more["tier"] == "fem" and free.normal_force == pytest.approx(asked.normal_force, rel=1e-9)
-    assert any("does not follow: tier 'fem' was taken" in note for note in free.notes)
+    assert any("too far for small strain: tier 'fem' was taken" in note for note in free.notes)

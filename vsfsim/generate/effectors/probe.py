@@ -40,7 +40,7 @@ from vsfsim.physics.contact.law import contact_law_of
 from vsfsim.physics.contact.patch import smooth_radius
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.edge_refine import EdgePath
-from vsfsim.physics.mesh.resolved import in_words
+from vsfsim.physics.mesh.resolved import in_words, past_small_strain
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.increments import inside
@@ -146,13 +146,14 @@ def press(scene: Scene, request: Request) -> PressResult:
     """
     prepared = prepare(scene, request)
     result = solve(prepared, request)
-    if not tiers.turned_too_far(scene, request.tier, prepared.tier, result.more["rotation"]):
+    error, turned, law = (result.more[name] for name in ("mesh_error", "rotation", "law_error"))
+    if not tiers.leaves(scene, request.tier, prepared.tier, past_small_strain(error, turned, law)):
         return result
     followed = dataclasses.replace(scene.required_object, tier=tiers.FOLLOWS)  # type: ignore[arg-type]
     prepared = prepare(dataclasses.replace(scene, object=followed), request)
     return solve(dataclasses.replace(prepared, notes=(*prepared.notes, (
-        f"Elements turn by up to {float(result.more['rotation'].max()):.2g} rad, which small "
-        f"strain does not follow: tier '{tiers.FOLLOWS}' was taken."))), request)
+        f"Elements turn (by up to {turned.max():.2g} rad) or stretch too far for small strain: "
+        f"tier '{tiers.FOLLOWS}' was taken."))), request)
 
 
 def prepare(scene: Scene, request: Request) -> Prepared:
@@ -220,7 +221,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
                     progress=request.progress)
     gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:moving], begin, strict=False))
     begun = overlap(model, RigidBodies(scene.bodies), begin, str(scene.source))
-    linear, options = not tiers.TIERS[tier].nonlinear, limited(tiers.options(tier), request)
+    options = limited(tiers.options(tier), request)
     ((solver, frames, (touch,)),) = rigid_touch.solve(
         scene, model, [aim], tier=tier, device=request.device, options=options, keep=True,
         progress=frames_done(request.progress, len(aim.path)))
@@ -245,10 +246,10 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
         "element_size": prepared.element_size, "edge": edge, "edge_at_contact": at_contact,
         "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance,
-        "inward": spec.inward, "mesh_error": frames.mesh_error[:, 0],
+        "inward": spec.inward, "mesh_error": frames.mesh_error[:, 0], "law_error": frames.law_error[:, 0],
         "corner_det_f": frames.corner_det_f[:, 0], "rotation": frames.rotation[:, 0]}
-    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], linear * frames.rotation[:, 0],
-                    touch.converged, np.ravel(solver.law_error) if linear else 0.0)
+    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], solver.linear * frames.rotation[:, 0],
+                    touch.converged, frames.law_error[:, 0])
     said = [*filter(None, [told]),
             f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, "
             f"element size {1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "

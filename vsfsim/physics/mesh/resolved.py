@@ -115,19 +115,26 @@ def resolved(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, 
             & ((parts <= PARTS) | (error == 0.0)))
 
 
-def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, converged: np.ndarray,
-             law: np.ndarray | float = 0.0) -> str:
+def past_small_strain(error: np.ndarray, turned: np.ndarray, law: np.ndarray) -> np.ndarray:
+    """Whether small strain does not follow each frame (...,) bool: an element turns too far, or the error by the law is
+    too large, alone or as the larger part of an ``error`` that is. Arguments as of `in_words`."""
+    return (turned > TURNED) | (law > LIMIT) | (error > LIMIT) & (2.0 * law**2 > error**2)
+
+
+def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray, converged: np.ndarray,
+             law: np.ndarray) -> str:
     """Sentences on the frames (T,) of a press that are not resolved, see `resolved`; empty if all are. ``law`` is the
     part of the error that is due to small strain (T,) [-]."""
-    strained, words = (error > LIMIT) & (2.0 * law**2 > error**2), []
-    small, folded = converged & (error > LIMIT) & ~strained, converged & (corner <= 0.0)
-    bent = converged & ((turned > TURNED) | strained)
+    words, folded = [], converged & (corner <= 0.0)
+    small = converged & (error > LIMIT) & (2.0 * law**2 <= error**2)
+    bent = converged & past_small_strain(error, turned, law)
     if bent.any():
-        words.append(f"In {int(bent.sum())} of {len(error)} frames elements turn (by up to {np.max(turned):.2g} rad) "
-                     f"or stretch too far for this tier: take --tier fem.")
+        words.append(f"In {bent.sum()} of {len(error)} frames elements turn (by up to "
+                     f"{turned.max():.2g} rad) or stretch too far for this tier: take --tier fem.")
     if small.any():
-        words.append(f"The mesh does NOT resolve the contact in {int(small.sum())} of {len(error)} frames: it is small "
-                     f"against the elements, and the force is off there by up to {100 * error[small].max():.0f} %.")
+        words.append(f"The mesh does NOT resolve the contact in {small.sum()} of {len(error)} frames: "
+                     f"it is small against the elements, and the force is off there "
+                     f"by up to {100 * error[small].max():.0f} %.")
     if folded.any():
         words.append(f"In {int(folded.sum())} of {len(error)} frames a corner of an element is inside out.")
     if (small | folded).any():

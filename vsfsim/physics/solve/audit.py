@@ -9,6 +9,7 @@ from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.mesh.resolved import BARE, ROUND, SHARE, corner_det_f, mesh_error, rotation
+from vsfsim.physics.solve.elasticity import LinearElasticity
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
 
@@ -45,7 +46,7 @@ def report(balance: Equilibrium, state: State) -> Rows:
     }
     values["contact_points"], values["contact_radius"], each, share = contact.resolution(every)
     out = {key: value.cpu().numpy() for key, value in values.items()}
-    out["mesh_error"], out["corner_det_f"], out["rotation"] = resolution(
+    out["mesh_error"], out["law_error"], out["corner_det_f"], out["rotation"] = resolution(
         balance, each.cpu().numpy(), share.cpu().numpy(), out["body_force"])
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
@@ -70,8 +71,9 @@ def report(balance: Equilibrium, state: State) -> Rows:
 
 def resolution(balance: Equilibrium, radius: np.ndarray, share: np.ndarray,
                force: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Estimated error of the force by the mesh [-], least det F at corners of elements in contact [-], and largest
-    rotation of an element [rad], (B,) each; NaN of what is no solid under rigid bodies.
+    """Estimated error of the force by mesh and law [-], its part by small strain [-], least det F at corners of
+    elements in contact [-], and largest rotation of an element [rad], (B,) each; NaN of what is no solid under rigid
+    bodies.
 
     Args:
         balance: the batch.
@@ -82,9 +84,12 @@ def resolution(balance: Equilibrium, radius: np.ndarray, share: np.ndarray,
     model, batch = balance.model, len(radius)
     solid = all(block.kind == "tet10" for block in model.blocks)
     if not (solid and isinstance(balance.contact, RigidContact)):
-        return tuple(np.full((3, batch), np.nan))
+        return tuple(np.full((4, batch), np.nan))
     u = balance.u.cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
     small = np.where(balance.contact.local_indentation.acts(), ROUND if model.mesh.curvature().any() else SHARE, BARE)
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
-    return mesh_error(radius, force, share, edges, small), np.array(corner), rotation(model.mesh, u)
+    error, law = mesh_error(radius, force, share, edges, small), np.zeros(batch)
+    if isinstance(balance.elasticity, LinearElasticity) and error.any():
+        law = np.where(error > 0.0, balance.elasticity.law_error(balance.every.int(), balance.u), 0.0)
+    return np.hypot(error, law), law, np.array(corner), rotation(model.mesh, u)

@@ -327,13 +327,13 @@ class LinearElasticity(Elasticity):
             return wp.to_torch(self.energy).clone(), wp.to_torch(self.internal).clone()
 
         energy, force = of_law(u)
-        even = 0.5 * (force + of_law(-u)[1]) * self._held
-        self.forces(index, wp.from_torch(u))
-        small, linear = wp.to_torch(self.energy).clamp(min=1e-300), wp.to_torch(self.internal).clone()
+        even, linear = 0.5 * (force + of_law(-u)[1]) * self._held, self._times(u)
+        small = 0.5 * (u * linear).sum(dim=0).clamp(min=1e-300)
         step = torch.as_tensor(self._factor.solve(even.cpu().numpy()), device=u.device)
         step -= 0.5 * (linear * step).sum(dim=0) / small * u
         slope = ((force - linear) * step).sum(dim=0)
         bend = (of_law(u - step)[0] - energy + slope).maximum(0.5 * slope.abs()).clamp(min=1e-300)
+        self.forces(index, wp.from_torch(u))
         return 1.5 * ((energy - 0.25 * slope**2 / bend) / small - 1.0).abs().cpu().numpy()
 
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:

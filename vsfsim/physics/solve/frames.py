@@ -125,9 +125,10 @@ class Frames:
     """How well the contact is resolved: radius of a circle of its area over the edge of the elements there (T, B) [-];
     NaN between two soft bodies."""
     mesh_error: np.ndarray
-    """Estimated error of the force because the contact is small against the elements (T, B) [-], see
-    `mesh.resolved`; NaN where it is not known: of membranes, between two soft bodies, and of elements that are no
-    tetrahedra."""
+    """Estimated error of the force by elements (`mesh.resolved`) and small strain (T, B) [-]; NaN where it is
+    not known: of membranes, between two soft bodies, and of elements that are no tetrahedra."""
+    law_error: np.ndarray
+    """The part of it by small strain (T, B) [-], see `LinearElasticity.law_error`; NaN likewise."""
     corner_det_f: np.ndarray
     """Least det F at the corners of the tetrahedra in contact (T, B) [-]; NaN likewise."""
     rotation: np.ndarray

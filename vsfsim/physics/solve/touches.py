@@ -91,8 +91,7 @@ class Solver:
             mount: springs that carry the bodies; ``poses`` are then those of the mounts.
             keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
                 contact force on every surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as
-                `QuadraticMesh.surface_nodes`; NaN on the patch in frames that did not converge; and, if ``linear``,
-                the error by small strain in ``self.law_error`` (T entries of (B,)) [-], see `LinearElasticity`.
+                `QuadraticMesh.surface_nodes`; NaN on the patch in frames that did not converge.
             progress: called with the number of finished frames.
 
         Returns:
@@ -116,7 +115,6 @@ class Solver:
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
-        self.law_error: list[np.ndarray] = []
         self._equilibria = list(self._near)
         self._at = previous  # where the bodies are, each touch in equilibrium
         for t in range(frames):
@@ -200,8 +198,6 @@ class Solver:
     def _record(self, converged: np.ndarray) -> None:
         """Keep the displacements and forces of this frame for the caller; forces are NaN where it did not converge."""
         self.history.append(self._balance.u.clone().cpu().numpy())
-        if isinstance(self.elasticity, LinearElasticity):
-            self.law_error.append(self.elasticity.law_error(self._balance.every.int(), self._balance.u))
         force = self._balance.contact_force().cpu().numpy().reshape(-1, 3, len(converged))
         for b in np.flatnonzero(~converged):
             force[self.contact.patches[b].nodes, :, b] = np.nan
