@@ -87,8 +87,12 @@ def test_every_command_and_option_exists():
 def test_links_and_paths_lead_somewhere():
     for page in PAGES:
         text = page.read_text()
-        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
-            assert target.startswith("https://") or (page.parent / target).exists(), (page.name, target)
+        for target, anchor in re.findall(r"\]\((?!https://)([^)#]*)#?([^)]*)\)", text):
+            file = page.parent / target if target else page
+            assert file.exists(), (page.name, target)
+            names = re.findall(r"^#+ (.*)", file.read_text().lower(), re.MULTILINE) if anchor else []
+            anchors = ["-".join(re.sub(r"[^\w -]", "", name).split()) for name in names]
+            assert not anchor or anchor in anchors, (page.name, target, anchor)
         for path in re.findall(
                 r"`((?:scenes|tasks|tests|docs|vsfsim|baselines|measurements|references)/[\w./-]+)", text):
             made = "NAME" in path or page.name == "CHANGELOG.md"
