@@ -20,6 +20,9 @@ OLD = {"bench": "measure", "stability": "measure stability", "study": "papers st
            "tradeoff", "export", "import", "score", "new-method", "audit", "seal")}}
 """Commands up to version 0.1, and what they are now."""
 
+FIRST = ("press", "generate", "show", "list", "evaluate", "submit")
+"""Commands that `vsfsim --help` shows before the others."""
+
 
 class WholeSentences(TyperGroup):
     """Click cuts the first sentences of the commands at one line of the terminal; here they go on in the next."""
@@ -30,8 +33,10 @@ class WholeSentences(TyperGroup):
         ends = re.compile(r"(?<=[a-z)`]\.) (?=[A-Z`])")
         rows = [(name, ends.split(" ".join((command.help or "").split("\n\n")[0].split()))[0])
                 for name, command in self.commands.items() if not command.hidden]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        for title, first in (("Commands", True), ("More, for authors of methods and tasks", False)):
+            if part := [row for row in rows if (ctx.parent is not None or row[0] in FIRST) is first]:
+                with formatter.section(title):
+                    formatter.write_dl(part)
 
 
 @functools.cache
