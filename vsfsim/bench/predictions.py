@@ -174,7 +174,8 @@ def _public_part(asked: Sequence[Question]) -> bytes:
         arrays |= {f"{k}/q": action.q} if action.q is not None else {}
     head = {"name": one.name, "query": one.touches, "asked": [(q.shot, q.seed, q.given) for q in asked],
             "probes": {k: (probe_table(action.probe), action.mount_stiffness) for k, action in actions.items()}}
-    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    # a number that was read from HDF5 is an array without axes
+    arrays["head"] = np.frombuffer(json.dumps(head, default=np.ndarray.item).encode(), np.uint8)
     out = io.BytesIO()
     np.savez_compressed(out, **arrays)
     return out.getvalue()
