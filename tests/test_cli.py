@@ -8,6 +8,8 @@ import time
 
 import pytest
 
+from vsfsim.cli.console import Progress
+
 HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplotlib", "rich")
 
 
@@ -48,6 +50,15 @@ def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_
     assert out.stderr.startswith("error: ") and message in out.stderr
     assert "Traceback" not in out.stderr and out.stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_time_that_is_left_follows_from_what_was_done(monkeypatch, capsys):
+    clock = iter((100.0, 100.0, 104.0))
+    monkeypatch.setattr("vsfsim.cli.console.time.perf_counter", lambda: next(clock))
+    progress = Progress("press", interval=0.0)
+    progress(0, 10, "frames")
+    progress(2, 10, "frames")
+    assert capsys.readouterr().err.splitlines()[-1] == "press: 2/10 frames, 16 s left"
 
 
 def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):

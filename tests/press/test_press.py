@@ -1,5 +1,6 @@
 """Around a press: what is assumed, observed order of convergence, pressures, pictures' triangles."""
 
+import dataclasses
 import errno
 from types import SimpleNamespace
 
@@ -89,6 +90,13 @@ def test_the_state_of_every_frame_is_saved(pressed):
                                                                + 1e-5 * np.abs(result.force).max())
     assert result.force == pytest.approx(result.more["body_force"][:, 0], rel=1e-8)
     assert (saved["contact_force"][4] == 0.0).all()
+
+
+def test_frames_that_did_not_converge_are_crossed_out(pressed):
+    _, result = pressed
+    wrong = dataclasses.replace(result, touch=dataclasses.replace(result.touch, converged=np.arange(5) != 3))
+    crosses = Press("small", (wrong,), "cpu").plot().axes[0].lines[1]
+    assert crosses.get_marker() == "x" and crosses.get_xdata() == pytest.approx(1e3 * result.depth[3:4])
 
 
 def test_pressure_adds_up_to_the_force(pressed):

@@ -110,10 +110,10 @@ def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path
         assert data["contact_force"].sum(axis=1) == pytest.approx(-data["force"], abs=tolerance)
 
 
-def test_refinement_prints_the_meshes_and_says_what_they_are_worth(press):
-    out = press("--refine", "3", "--json", "-", tier="linear", size=0.015)
-    found = json.loads(out.stdout)["refinement"]
-    assert (out.returncode == 0 and len(found["meshes"]) == len(found["force"]) == 3
+def test_refinement_prints_the_meshes_and_says_what_they_are_worth(press, tmp_path):
+    out = press("--refine", "3", "--json", "r.json", tier="linear", size=0.015)
+    found = json.loads((tmp_path / "r.json").read_text())["refinement"]
+    assert (out.returncode == 0 and "normal force N" in out.stdout and len(found["meshes"]) == len(found["force"]) == 3
             and np.all(np.diff(found["edge"]) < 0.0))
     assert found["force"] == pytest.approx([m["normal_force"][-1] for m in found["meshes"]])
     assert found["error"] > 0.0 and ("Observed order" in found["statement"] or "No order" in found["statement"])

@@ -20,6 +20,7 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.lerobot import frame_rows
+from vsfsim.data.formats.openvsf import TARE
 from vsfsim.data.verify import compare
 from vsfsim.data.writer import DatasetWriter
 
@@ -83,6 +84,8 @@ def test_webdataset_holds_every_array(made, tmp_path):
         arrays = np.load(io.BytesIO(tar.extractfile(names[1]).read()))
         assert names[1].endswith("-v0-000.npz") and arrays["force"].tobytes() == made[0].touches[0].force.tobytes()
         assert len(names) == 12
+    with np.load(out / "truth" / f"{made.entries[0].name}.npz") as truth:
+        assert np.array_equal(truth["young_modulus"], made[0].truth.young_modulus)
     wds = pytest.importorskip("webdataset")
     samples = list(wds.WebDataset(str(out / "train-000000.tar"), shardshuffle=False))
     assert len(samples) == 4 and {"json", "npz", "png"} <= set(samples[0])
@@ -95,7 +98,8 @@ def dotted(made, tmp_path_factory):
              for k, name in enumerate(("shoe.v2-0000", "shoe.v2-0001", "shoe%2Ev2".replace("%", "+")))]
     with DatasetWriter(tmp_path_factory.mktemp("dotted") / "d", made.recipe, [v.name for v in views]) as writer:
         for view in views:
-            arm = [dataclasses.replace(t, q=np.zeros((len(t.time), 7))) for t in view.touches]
+            arm = [dataclasses.replace(t, q=np.outer(t.time, np.ones(7)), torque=np.zeros((len(t.time), 7)))
+                   for t in view.touches]
             writer.add(dataclasses.replace(view, touches=tuple(arm)))
         return writer.finish()
 
@@ -124,6 +128,13 @@ def test_a_split_of_lerobot_is_the_range_of_its_episodes(dotted, tmp_path):
     for name, text in info["splits"].items():
         first, last = map(int, text.split(":"))
         assert [r["episode_index"] for r in rows if r["split"] == name] == list(range(first, last))
+
+
+def test_a_sequence_of_openvsf_begins_with_copies_of_its_first_frame(dotted, tmp_path):
+    pytest.importorskip("yaml")
+    out, view = export(dotted.path, "openvsf", tmp_path / "o"), dotted[0]
+    q = np.load(out / view.name / "seq_000" / "kinova_state.npy")
+    assert (q[:TARE] == view.touches[0].q[0]).all() and np.array_equal(q[TARE:], view.touches[0].q)
 
 
 def test_openvsf_wants_an_arm_and_bad_words_are_told(made, tmp_path):
