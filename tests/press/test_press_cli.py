@@ -85,7 +85,8 @@ def test_a_probe_that_misses_is_reported_and_one_inside_is_refused(press):
     assert "note: The probe starts 1.5 mm inside the body" in press(tier="linear", start=0.0385, stop=0.037).stdout
     out = press(tier="linear", probe="sphere = 0.005", start=0.015, stop=0.012)
     assert out.returncode == 2
-    assert out.stderr.startswith("error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the whole probe inside the body")
+    # on a busy machine a run has told how far it is
+    assert "error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the whole probe inside the body" in out.stderr
     assert out.stdout == "" and "Traceback" not in out.stderr
 
 

@@ -102,6 +102,7 @@ def test_of_the_working_folder_the_package_alone_is_imported(monkeypatch, tmp_pa
     monkeypatch.syspath_prepend(folder)
     with MethodHost("toy_methods:Constant", {}, Isolation("process"), tmp_path / "log") as host:
         assert (str(folder) in host._search) == is_searched
+    assert not host._folder.exists(), "nothing is left of it"
 
 
 @pytest.fixture
