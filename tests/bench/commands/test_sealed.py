@@ -133,7 +133,7 @@ def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path,
     for place in (Path("data/toy"), Path("round/data")):
         place.symlink_to(toy_dataset.path)
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
-    blocks = re.findall(r"```(bash|py)\n(.*?)```", PAGE.replace("fewshot-shoes-v3-v1", "toy-v1.toml"), re.DOTALL)
+    blocks = re.findall(r"```(bash|py)\n(.*?)```", PAGE.replace("fewshot-shoes-v3-mini-v1", "toy-v1.toml"), re.DOTALL)
     assert [kind for kind, _ in blocks] == ["bash", "py", "bash"]
     said = []
     for kind, block in blocks:
@@ -153,6 +153,14 @@ def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path,
     assert row.task == "toy-v1-sealed" and 0.0 < row.scores["rmse_ratio"]["5"].mean < 1.0
     public = b"".join(path.read_bytes() for path in Path("round/public").iterdir())
     assert row.dataset_sha256.encode() not in public and os.environ["VSFSIM_DATASETS"].encode() not in public
+
+
+def test_the_round_of_the_page_keeps_its_commitment_and_its_receipt():
+    (text,) = re.findall("(?m)^{.*}$", PAGE)
+    commitment, row, receipt = re.findall(r"\| `(\w{64})` \|", PAGE)
+    assert hashlib.sha256(text.encode()).hexdigest() == commitment
+    assert hashlib.sha256(f"{text}{row}".encode()).hexdigest() == receipt
+    assert json.loads(text)["task_sha256"] == load_task("fewshot-shoes-v3-mini-v1-sealed").sha256
 
 
 def test_a_sealed_task_tells_no_seed():
