@@ -22,15 +22,7 @@ from vsfsim.generate.aim import Aim, aim_probe, clearance, in_kinds
 from vsfsim.generate.assume import with_press, with_probe
 from vsfsim.generate.boundary import deformed_surface, face_pressure, node_pressure
 from vsfsim.generate.on_solids import OnSolids
-from vsfsim.generate.press_result import (
-    PICTURE,
-    BodyPanel,
-    Column,
-    PressResult,
-    direction,
-    frames_done,
-    limited,
-)
+from vsfsim.generate.press_result import PICTURE, BodyPanel, Column, PressResult, direction, frames_done, limited
 from vsfsim.generate.solid import Subject
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
