@@ -9,6 +9,7 @@ import mock_dataset
 import pytest
 from pages import CONTRIBUTING, README, ROOT, blocks, named
 from test_bad_input import run as vsfsim
+from texts import scene
 
 
 def test_the_readme_is_short():
@@ -66,15 +67,15 @@ def test_the_architecture_names_what_is_there():
         assert len(steps) == 10 and len(re.findall(r"`[\w/.-]+\.(?:py|toml)`", "\n".join(steps))) >= 10
 
 
-@pytest.mark.slow
 def test_what_to_read_first_is_most_of_what_runs(tmp_path):
     """Two lists of files in CONTRIBUTING, 20 at most, hold 80 % of the statements of a press and of an evaluation."""
-    from vsfsim import press
     from vsfsim.bench.evaluate import evaluate
     from vsfsim.bench.task import parse_task
+    from vsfsim.press.command import press
 
+    block = scene("block", tier='"fem-coarse"', needs=[])
     task, dataset = parse_task(mock_dataset.TASK, "toy-v1.toml"), mock_dataset.written(tmp_path / "toy")
-    work = {"vsfsim/physics/": lambda: press("indent-homogeneous", tier="fem-coarse"),
+    work = {"vsfsim/physics/": lambda: press(block),
             "vsfsim/": lambda: evaluate("near-springs", task, dataset, check=False, seeds=1)}
     work["vsfsim/physics/"]()  # makes the kernels
     chapter = CONTRIBUTING.split("**What to read first.**")[1].split("\n**")[0]
