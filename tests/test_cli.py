@@ -76,7 +76,7 @@ def test_a_method_that_cannot_be_imported_is_named_without_a_traceback(vsfsim, t
 
 @pytest.mark.parametrize(("words", "found"), [
     (("press", "indent", "--tier", "fine"), "fem-fine"),
-    (("generate", "shoes-mini", "--tier", "FEM"), "--tier is 'FEM'"),
+    (("generate", "shoes-mini", "--tier", "FEM"), "--tier is 'FEM'. Did you mean 'fem'?"),
     (("press", "scan.toml"), "mesh file 'none.stl' cannot be read"),
     (("press", "probe.toml"), "mesh file 'none.txt' ends in '.txt'"),
     (("show", "scan.toml"), "mesh file 'none.stl' cannot be read")])
