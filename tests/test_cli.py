@@ -37,10 +37,6 @@ finally:
     (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
     (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-v3-mini-v1"),
      "unknown method 'gausian'. Did you mean 'gaussian'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-v3-mini-v1"),
-     "unknown task 'fewshot-shoe-v3-mini-v1'. Did you mean 'fewshot-shoes-v3-mini-v1'?"),
-    (("check", "gaussian", "--set", "spcing=1"),
-     "no parameter 'spcing'. Did you mean 'spacing'?"),
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-v1"), "vsfsim generate shoes-v3 --objects"),
     (("cluster", "--shard", "0/4", "press", "pad"), "The command of `vsfsim cluster` is 'press'."),
 ])

@@ -128,8 +128,6 @@ def test_the_datasets_have_each_shoe_once() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(SceneError, match=r"model is 'work-bot'. Did you mean 'work-boot'"):
-        make(model="work-bot")
     with pytest.raises(SceneError, match="whose style is 'boot'; take style out"):
         make(model="work-boot", style="runner")
     with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):

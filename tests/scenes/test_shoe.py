@@ -148,5 +148,3 @@ def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else(monkeypatc
 def test_refusals() -> None:
     with pytest.raises(SceneError, match=r"length is 26; it must be a number from 0.22 to 0.3"):
         make(length=26)
-    with pytest.raises(SceneError, match=r"style is 'boots'. Did you mean 'boot'"):
-        make(style="boots")
