@@ -49,8 +49,9 @@ def measure(scenes: Sequence[str] = SCENES, count: int = 61, *, goals: Sequence[
                 progress(f"{folder.relative_to(out)}: {len(found)} of {PILOT + count} touches")
                 if number < PILOT and touch.errors[-1] > max(some):
                     break  # all of these goals are refused
-            made = [found[k] for k in sorted(found)]  # as they come the cheap ones are first
-            rows += [row_of(loaded.name, goal, [s.key for s in ground.steps()], made[:PILOT], made[PILOT:],
+            # in order, as they come the cheap ones are first
+            pilot, data = ([found[k] for k in sorted(found) if (k < PILOT) is first] for first in (True, False))
+            rows += [row_of(loaded.name, goal, [s.key for s in ground.steps()], pilot, data,
                             sum(loaded.sample(0).required_touches.frames)) for goal in some]
     return found_of(rows, {"touches": count})
 

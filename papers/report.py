@@ -93,7 +93,8 @@ def text(study: Study, found: Mapping[str, Found]) -> str:
     lines = [f"{study.name}: {study.title} ({study.source})", title(study, found), "",
              text_table(*cells(study, found)), *remarks(found)]
     missing = [v.name for v in study.variants if v.name not in found]
-    lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name}` makes them"] * bool(missing)
+    if missing:
+        lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name}` makes them"]
     return "\n".join(lines + (["", study.note] if study.note else []))
 
 

@@ -18,7 +18,7 @@ import vsfsim
 from measurements.kept import Kept
 from measurements.tradeoff import front
 from measurements.tradeoff.front import Point
-from measurements.tradeoff.touches import LARGEST, DatasetTouches, Run, limits, sweep, unsure
+from measurements.tradeoff.touches import DatasetTouches, Run, is_known, limits, sweep, unsure
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.system.interactive import new_figure
@@ -107,13 +107,14 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
     keys = [f"limit of touch {k}" for k in range(subject.count)]
     left = [k for k, key in enumerate(keys) if key not in lines.rows]
     for k, found in in_pool(ladder_of, left, loaded, touches, seed, device, device=device, workers=workers):
-        progress(len(lines.rows), total, lines.add({"key": keys[k], "ladder": found})["key"])
+        lines.add({"key": keys[k], "ladder": found})
+        progress(len(lines.rows), total, keys[k])
     for key in keys:
         bound, share = limits([Run.read(mesh) for mesh in lines.rows[key]["ladder"]])
         bounds.append(bound)
         shares.append(share)
     said = tuple(_said(k, own["force"]) for k, own in enumerate(bounds))
-    if not any(unsure(own["force"]) <= LARGEST for own in bounds):
+    if not any(is_known(own["force"]) for own in bounds):
         raise VsfsimError(f"{loaded.path}: the limit of no touch is known: {'; '.join(said)}. Give "
                           "more --touches, or a finer resolution in [object], from which the "
                           "meshes of the limit start.")
@@ -157,7 +158,7 @@ def _shows(loaded: SceneFile, tier: str) -> bool:
 
 def _said(touch: int, force: Limit) -> str:
     """What is known of the limit of a touch."""
-    if not unsure(force) <= LARGEST:
+    if not is_known(force):
         size = f", known to {100 * unsure(force):.2g} % only" if np.isfinite(unsure(force)) else ""
         return f"touch {touch}: not used, {force.why}{size}"
     order = "" if force.order is None else f", order {force.order:.1f}"

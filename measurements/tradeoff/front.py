@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measurements.tradeoff.touches import LARGEST, Curve, Run, unsure
+from measurements.tradeoff.touches import Curve, Run, is_known
 from vsfsim.data.manifest import NOISE
 from vsfsim.generate.trade.setting import Setting
 from vsfsim.physics.convergence import Limit
@@ -155,15 +155,15 @@ def point(setting: Setting, run: Run, limits: Sequence[Mapping[str, Limit]],
     found: dict[str, list[dict[str, float]]] = {}
     for curve, limit, share in zip(run.curves, limits, shares, strict=True):
         for name in CHANNELS:
-            d = distance(name, curve, share, limit[name]) if name in limit and unsure(limit[name]) <= LARGEST else None
+            d = distance(name, curve, share, limit[name]) if name in limit and is_known(limit[name]) else None
             if d is not None:
                 found.setdefault(name, []).append(d)
     channels = {name: {key: max(d[key] for d in all_touches) for key in all_touches[0]}
                 for name, all_touches in found.items()}
-    force, known = channels.get("force", {}), [k for k, limit in enumerate(limits) if unsure(limit["force"]) <= LARGEST]
-    whole = len(found.get("force", ())) == len(known)
-    order = flips([between(run.curves[k], run.curves[k].readings["force"], shares[k])[:, 0] for k in known],
-                  [limits[k]["force"].value for k in known]) if whole else {}
+    force, sure = channels.get("force", {}), [k for k, limit in enumerate(limits) if is_known(limit["force"])]
+    whole = len(found.get("force", ())) == len(sure)
+    order = flips([between(run.curves[k], run.curves[k].readings["force"], shares[k])[:, 0] for k in sure],
+                  [limits[k]["force"].value for k in sure]) if whole else {}
     marked = np.concatenate([c.marked[(np.abs(np.nan_to_num(c.readings["force"])) > 0.0) | ~c.converged]
                              for c in run.curves])
     return Point(setting.key, setting.tier, run.cpu / len(run.curves), run.cpu / run.frames + once * run.once,

@@ -246,3 +246,8 @@ def limits(ladder: Sequence[Run]) -> tuple[dict[str, Limit], np.ndarray]:
 def unsure(limit: Limit) -> float:
     """Root mean square of the error of a limit over its largest value [-]."""
     return float(np.sqrt(np.mean(limit.error**2)) / max(float(np.abs(limit.value).max(initial=0.0)), 1e-300))
+
+
+def is_known(limit: Limit) -> bool:
+    """Whether a limit is sure enough to measure by."""
+    return unsure(limit) <= LARGEST

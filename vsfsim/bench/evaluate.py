@@ -287,8 +287,9 @@ def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan
 
 def _train(item: tuple[Evaluation, Job]) -> None:
     """In a task of a cluster."""
-    with item[0] as one, ThreadPoolExecutor(1) as pool:
-        one.make(item[1], Reader(), pool)
+    one, job = item
+    with one, ThreadPoolExecutor(1) as pool:
+        one.make(job, Reader(), pool)
 
 
 def _gpus() -> list[str]:

@@ -59,7 +59,8 @@ def did_you_mean(given: str, allowed: Iterable[str]) -> str:
         allowed: the words that would have been understood.
     """
     names = sorted(str(name) for name in allowed)
-    near = [one for word in (given, given.lower()) for one in difflib.get_close_matches(word, names, n=1, cutoff=0.6)]
+    near = [one for word in (str(given), str(given).lower())  # a number reaches this, too: --set structure=5
+            for one in difflib.get_close_matches(word, names, n=1, cutoff=0.6)]
     return (f"Did you mean '{near[0]}'? " if near else "") + f"Allowed: {', '.join(names) or '(none)'}."
 
 
