@@ -151,19 +151,23 @@ def test_what_does_not_ship_is_left_out_and_told(monkeypatch):
 
 def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_path, monkeypatch,
                                                       write_dataset, toy_views):
-    """Those of a machine that rounds otherwise do not: the record stays."""
+    """Those of a machine that rounds otherwise, or of code that marks other frames, do not: the record stays, and has
+    their share of marked frames."""
     elsewhere(monkeypatch, tmp_path)
-    out = tmp_path / "leaderboard"
+    scored = dataclasses.replace(task.protocol, unresolved="scored")
+    task, out = dataclasses.replace(task, protocol=scored), tmp_path / "leaderboard"
     result = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
     release._keep_record(task, toy_dataset, out)
     ship({Path("toy-v1", "contact-points.tuned.json"): (result, "", 1.0)}, out)
-    rounded = [dataclasses.replace(view, touches=tuple(dataclasses.replace(t, force=t.force * (1.0 + 1e-7))
-                                                       for t in view.touches)) for view in toy_views]
-    release._keep_record(task, write_dataset(rounded), out)
+
+    def data(factor, **marks):
+        return write_dataset([dataclasses.replace(view, touches=tuple(dataclasses.replace(
+            t, force=t.force * factor, **marks) for t in view.touches)) for view in toy_views])
+
+    release._keep_record(task, data(1.0 + 1e-7, resolved=np.zeros(len(toy_views[0].touches[0].time), bool)), out)
     assert len(rows.listed()) == 1 and shipped_record(task).dataset_sha256 == toy_dataset.sha256
-    others = [dataclasses.replace(view, touches=tuple(dataclasses.replace(t, force=t.force * 1.5)
-                                                      for t in view.touches)) for view in toy_views]
-    other = write_dataset(others)
+    assert shipped_record(task).unresolved[2] == 1.0
+    other = data(1.5)
     release._keep_record(task, other, out)
     assert not rows.listed() and not list(out.glob("toy-v1/*")) and shipped_record(task).dataset_sha256 == other.sha256
 
