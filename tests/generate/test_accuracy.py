@@ -17,7 +17,6 @@ from vsfsim.data.disk import Store
 from vsfsim.data.manifest import ENOUGH, RISK, apart, audit_error, error_against, observed, verdict
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
-from vsfsim.generate.job import jobs_of
 from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
@@ -160,16 +159,6 @@ def test_the_error_of_a_touch_is_that_of_its_worst_reading(off, unsure, lost, er
     for pair in ((found, good), (good, found)):
         assert error_against(force, pair[0], wanted, pair[1], np.array([0.0, 0.0, unsure])) == pytest.approx(error)
     assert error_against(0.1 * force[:2], good[:2], 0.1 * wanted[:2], good[:2]) is None, "too quiet"
-
-
-@pytest.mark.slow
-def test_a_touch_of_a_pilot(scene, tmp_path):
-    job = jobs_of(make_recipe(scene, touches=1), scene.path, tmp_path)[0]
-    steps = [Setting("fem-coarse", 0.03), Setting("fem-coarse", 0.02), Setting("fem", 0.02, level=-1)]
-    ladder = [Setting("fem", 0.03, level=-2), steps[-1], Setting("fem", 0.02, level=0)]
-    one = buy._tried(job, steps, ladder, "cpu")
-    assert len(one.differences) == 2 and len(one.errors) == 3 and len(one.seconds) == 4
-    assert min(one.seconds) > 0.0 and 0.0 < one.errors[2] < 0.5 and one.differences[0] > 0.0
 
 
 @pytest.mark.slow

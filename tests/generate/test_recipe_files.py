@@ -22,8 +22,8 @@ def scene(tmp_path):
     return load_scene(tmp_path / "named.toml")
 
 
-def ball(scene):
-    trimesh.creation.icosphere(2, 0.03).export(scene.path.parent / "thing.stl")
+def taller(scene):
+    trimesh.creation.box((0.06, 0.06, 0.07)).export(scene.path.parent / "thing.stl")
 
 
 def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_path, here, monkeypatch):
@@ -41,7 +41,7 @@ def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_pat
             generate(scene, tmp_path / "data", workers=1)
     assert (tmp_path / "data" / "dataset.part.json").exists()
     before = (tmp_path / "thing.stl").read_bytes()
-    ball(scene)
+    taller(scene)
     with pytest.raises(DatasetError, match=r"holds another dataset: thing\.stl has another content \(sha256 "):
         generate(scene, tmp_path / "data", workers=1)
     (tmp_path / "thing.stl").write_bytes(before)
@@ -55,7 +55,7 @@ def test_a_mesh_that_is_replaced_while_the_dataset_is_made_is_told(scene, tmp_pa
 
     def write(job, view, device):
         entry = original(job, view, device)
-        ball(scene)
+        taller(scene)
         return entry
 
     monkeypatch.setattr(workers, "write", write)

@@ -20,7 +20,8 @@ from vsfsim.press.command import press
 SLANTED = ((-0.004, 0.002, 0.041), (0.002, 0.005, 0.036))
 DOWN = ((0.006, 0.004, 0.041), (0.006, 0.004, 0.036))
 HALF = (DOWN[0], (0.006, 0.004, 0.038))
-LOWER, HIGHER = (tuple((x, y, z + by) for x, y, z in DOWN) for by in (-0.0005, 0.008))
+LOWER = ((0.006, 0.004, 0.0405), (0.006, 0.004, 0.0375))
+HIGHER = tuple((x, y, z + 0.008) for x, y, z in DOWN)
 PARTS = (("sphere", 0.02, 0.0, 0.012, 0.008, 1e6), ("sphere", -0.015, 0.01, 0.02, 0.007, 1e4))
 LAYER = (("box", -0.1, -0.1, 0.015, 0.1, 0.1, 0.1, 1e4),)
 

@@ -2,6 +2,7 @@
 leaderboard is scored again on that view."""
 
 import dataclasses
+import functools
 import math
 from pathlib import Path
 
@@ -37,6 +38,7 @@ SLOW = {"inclusion-mini-v3", "localization-mini-v3"}
 CURRENT = list(shelf.tasks())
 
 
+@functools.cache
 def shipped_row(name, *, of=METHODS):
     """The result of the first of some methods that ships for a task, of any if ``of`` is empty; None if none does."""
     found = map(Result.load, sorted((shelf.folder("leaderboard") / name).glob("*.json")))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.pose import KnownObject, register, stiffness_pose
+from vsfsim.vsf.pose import KnownObject, outline_pose, register, stiffness_pose
 
 
 def box(low, high):
@@ -72,6 +72,10 @@ def test_the_literal_loss_is_that_of_equation_7():
     assert 0 < inside.sum() and found.loss == pytest.approx(np.maximum(100.0 - stiffness, 0.0)[inside].sum())
 
 
-def test_errors_by_hand():
-    shift, turn = pose_errors(pose(0.5, [0.03, 0.04, 0]), pose(0.2, [0, 0, 0]))
-    assert shift == pytest.approx(0.05) and turn == pytest.approx(0.3)
+def test_the_outline_gives_the_pose_of_a_flat_object(trial_seed):
+    known, truth = KnownObject.of(*wedge()), pose(2.1 + 2.4 * trial_seed, [0.03, -0.02, 0.002])
+    points, stiffness = buried(known, truth, noise=0.3, seed=trial_seed)
+    found = outline_pose(known, points[::8, :2], stiffness.reshape(-1, 8).max(axis=1), area=0.04, top=0.017)
+    shift, turn = pose_errors(found.transform, truth)
+    print(f"errors: {1000 * shift:.2f} mm, {turn:.4f} rad")
+    assert shift < 0.002 and turn < 0.02

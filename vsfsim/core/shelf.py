@@ -160,7 +160,7 @@ def methods() -> dict[str, importlib.metadata.EntryPoint]:
     """Installed methods by name: entry points of the group ``vsfsim.methods``."""
     with contextlib.suppress(ModuleNotFoundError):  # the sandbox of a method that does not ship shows it none that do
         folder("baselines")  # those that ship are of this copy
-    return {ep.name: ep for ep in importlib.metadata.entry_points(group=METHOD_GROUP)}
+    return {**_entries(METHOD_GROUP, tuple(sys.path))}
 
 
 def ceilings() -> dict[str, importlib.metadata.EntryPoint]:
@@ -170,7 +170,7 @@ def ceilings() -> dict[str, importlib.metadata.EntryPoint]:
                importlib.metadata.EntryPoint("fem-map", "vsfsim.generate.fem_map:fitted", FITTED_GROUP),
                importlib.metadata.EntryPoint("rod-map", "vsfsim.generate.plants.rod_map:fitted", FITTED_GROUP))
     return {ep.name: ep for group in (CEILING_GROUP, FITTED_GROUP)
-            for ep in (*importlib.metadata.entry_points(group=group), *(one for one in shipped if one.group == group))}
+            for ep in (*_entries(group, tuple(sys.path)).values(), *(one for one in shipped if one.group == group))}
 
 
 def effectors() -> list[str]:
