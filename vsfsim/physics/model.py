@@ -137,7 +137,8 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
                 gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
                 rotation: np.ndarray | None = None, translation: np.ndarray | None = None,
                 elements: Elements = tetrahedra) -> Model:
-    """Place a solid in the world, hold it and factorise its rest state.
+    """Place a solid in the world and hold it. Its rest state is factorised at its first use, so that what is refused
+    of a body or a press costs no factor.
 
     Args:
         solid: corner tetrahedra in the object's frame.
@@ -190,4 +191,4 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 factor(stiffness, now=soft is None), soft_factor=soft)
+                 factor(stiffness), soft_factor=soft)

@@ -121,7 +121,7 @@ class Prepared:
     notes: tuple[str, ...]
     """What was assumed."""
     seconds: float
-    """Spent on meshing and factorisation [s]."""
+    """Spent on meshing [s]."""
 
     @property
     def element_size(self) -> float:
@@ -209,10 +209,10 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
               path=press_path(spec, scene.probe), start=first)
     assert aim.path is not None
     begin, placed = body_poses(scene, first[None])[0], body_poses(scene, aim.path)
-    compile_kernels(solver_kernels(elements_of(model.blocks), contact_law_of(scene)[0]), request.device,
-                    progress=request.progress)
     gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:moving], begin, strict=False))
     begun = overlap(model, RigidBodies(scene.bodies), begin, str(scene.source))
+    compile_kernels(solver_kernels(elements_of(model.blocks), contact_law_of(scene)[0]), request.device,
+                    progress=request.progress)
     options = limited(tiers.options(tier), request)
     ((solver, frames, (touch,)),) = rigid_touch.solve(
         scene, model, [aim], tier=tier, device=request.device, options=options, keep=True,

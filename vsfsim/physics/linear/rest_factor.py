@@ -103,9 +103,9 @@ class RestFactor:
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, points: np.ndarray,
-           coupling: tuple[np.ndarray, float] | None = None, *, now: bool = False) -> RestFactor:
-        """The factor of this matrix: the one that this process made before, or a new one; arguments as the class.
-        ``now``: factorise it here, not at its first use."""
+           coupling: tuple[np.ndarray, float] | None = None) -> RestFactor:
+        """The factor of this matrix, which is factorised at its first use: the one that this process made before, or a
+        new one; arguments as the class."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, points, *(coupling or ())):
             digest.update(np.ascontiguousarray(part).tobytes())
@@ -117,8 +117,6 @@ class RestFactor:
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
-        if now:
-            _factors[key].ready()
         return _factors[key]
 
     def _trusts(self, solve: Callable[[np.ndarray], np.ndarray]) -> bool:
@@ -302,8 +300,8 @@ class _Sparse:
         self._nodes = dof.cpu().numpy()[:, ::3] // 3  # -1 at padding
         batch, width = dof.shape
         few = batch <= _FEW and 8.0 * batch * width * factor.size <= factor.columns_bytes
-        self._whole = torch.zeros((batch, width, factor.size), device=device, dtype=(
-            torch.float64 if factor.real is np.float64 else torch.float32)) if few else None
+        real = torch.float64 if factor.real is np.float64 else torch.float32  # factorised here, before a frame's limit
+        self._whole = torch.zeros((batch, width, factor.size), device=device, dtype=real) if few else None
         self._compliance = torch.zeros((batch, width, width), dtype=torch.float64, device=device)
         self._ready = np.zeros((batch, width // 3), bool)
 

@@ -134,4 +134,4 @@ class Frames:
     rotation: np.ndarray
     """Largest rotation of a tetrahedron (T, B) [rad]; NaN likewise."""
     seconds: np.ndarray
-    """Duration of the frame, shared by the batch (T,) [s]."""
+    """Duration of the frame, shared by the batch, the first with what is set up before it (T,) [s]."""

@@ -104,7 +104,7 @@ class Solver:
 
     def _run(self, poses: np.ndarray, start: np.ndarray | None, mount: Mount | None, keep: bool,
              progress: Callable[[int], None] | None) -> Frames:
-        frames, batch, self._mount = *poses.shape[:2], mount
+        began, (frames, batch), self._mount = time.perf_counter(), poses.shape[:2], mount
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
@@ -118,11 +118,10 @@ class Solver:
         self._equilibria = list(self._near)
         self._at = previous  # where the bodies are, each touch in equilibrium
         for t in range(frames):
-            began, deadline = time.perf_counter(), clock.now() + self.options.seconds * batch
-            out = self._frame(poses[t], deadline)
+            out = self._frame(poses[t], clock.now() + self.options.seconds * batch)
             if keep:
                 self._record(out["converged"])
-            out["seconds"] = np.full(batch, time.perf_counter() - began)
+            out["seconds"] = np.full(batch, -began + (began := time.perf_counter()))
             rows.append(out)
             if progress is not None:
                 progress(t + 1)
