@@ -108,6 +108,8 @@ def test_pressure_adds_up_to_the_force(pressed):
     assert (pressure[top] * mesh.face_area()[top]).sum() == pytest.approx(result.force[1, 2], rel=0.2)
     # corner nodes of the rim pull a little, and a pressure has no sign
     assert (pressure * mesh.face_area()).sum() == pytest.approx(result.force[1, 2], rel=0.01)
+    nodal = result.body[3][1][mesh.faces] @ [1, 1, 1, 3, 3, 3] / 12  # over the four triangles of each that a page draws
+    assert (nodal * mesh.face_area()).sum() == pytest.approx(result.force[1, 2], rel=0.01)
 
 
 def test_the_drawn_surface_is_closed_and_bends_with_the_body(pressed):

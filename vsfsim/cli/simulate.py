@@ -43,8 +43,7 @@ def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Pictu
 
     Args:
         plot: Write a plot of force against depth.
-        picture: Write a picture of the deformed body at full depth (.png), or a page of all frames (.html), which shows
-            no contact pressure.
+        picture: Write a picture of the deformed body at full depth (.png), or a page of all frames (.html).
         gif: Write the deformed body frame by frame (.gif).
         save: Write mesh, displacements and contact forces of every frame (.npz).
         refine (MESHES): Press 3 to 6 finer and finer meshes: observed order of convergence, extrapolated force and its

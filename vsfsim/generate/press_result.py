@@ -136,8 +136,9 @@ class PressResult:
     """Label of the plot's depth axis, in millimetres."""
     first: tuple[Column, ...] = ()
     """The first columns of the printed table; empty for those of depth and force."""
-    body: tuple[Elements, np.ndarray, ProbeShape] | None = None
-    """The elements, their nodes' displacements (T, n, 3) [m], and what pressed them; None without elements."""
+    body: tuple[Elements, np.ndarray, ProbeShape, np.ndarray] | None = None
+    """The elements, their nodes' displacements (T, n, 3) [m], what pressed them, and its pressure on the nodes (T, n)
+    [Pa]; None without elements."""
 
     force = property(lambda self: self.touch.force)
     """Contact force on the effector, in the world (T, 3) [N]."""

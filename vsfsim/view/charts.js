@@ -76,16 +76,22 @@ function drawTargets() {
 function legend() {
   const part = (tag, name, text) => Object.assign(document.createElement(tag), {className: name, textContent: text});
   const box = $("legend");
-  if (maps.length) {
+  const scale = (what, colours, at) => {                 // at: the words at a share of the bar
     const bar = part("div", "bar", ""), ticks = part("div", "ticks", "");
-    bar.style.background = `linear-gradient(to top, ${VIRIDIS.join(",")})`;
-    for (let k = 0; k <= 4; k++) {
-      const tick = part("span", "", withUnit(lowest + k / 4 * (highest - lowest)));
-      tick.style.top = `${100 - 25 * k}%`;
+    bar.style.background = `linear-gradient(to top, ${colours.join(",")})`;
+    for (const share of [0, 0.25, 0.5, 0.75, 1]) {
+      const tick = part("span", "", at(share));
+      tick.style.top = `${100 - 100 * share}%`;
       ticks.append(tick);
     }
-    box.append(part("div", "", quantity), bar, ticks);
-  }
+    const whole = part("div", "scale", what);
+    whole.append(part("div", "", ""), bar, ticks);
+    box.append(whole);
+  };
+  if (maps.length) scale(quantity, VIRIDIS, share => withUnit(lowest + share * (highest - lowest)));
+  const most = Math.max(0, ...data.objects.map(o => o.pressure?.span[0] ?? 0));
+  if (most > 0) scale("contact pressure, mean over elements", ["transparent", PRESSED],
+                      share => `${number(share * most / 1e3, 2)} kPa`);
   if (data.objects.some(o => o.touches.length)) {
     const key = part("div", "key", "");
     for (const [name, text] of [["touch", "touch: where and how it presses"], ["chosen", "chosen touch and its probe"],

@@ -4,6 +4,7 @@
 
 const VIRIDIS = ["#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b",
   "#fde725"];
+const PRESSED = "#d7191c";                               // no colour of the map is like it
 
 const VERTEX = `#version 300 es
 in vec3 place, colour, edge; in float away;
@@ -28,9 +29,9 @@ void main() {
   result = vec4(mix(tint * light, vec3(0.8), 0.3 * line), 1.0);
 }`;
 
+const part = (hex, n) => parseInt(hex.slice(1 + 2 * n, 3 + 2 * n), 16);
 function mix(stops, t) {
   const x = Math.min(Math.max(t, 0), 1) * (stops.length - 1), k = Math.min(Math.floor(x), stops.length - 2);
-  const part = (hex, n) => parseInt(hex.slice(1 + 2 * n, 3 + 2 * n), 16);
   return [0, 1, 2].map(n => part(stops[k], n) + (x - k) * (part(stops[k + 1], n) - part(stops[k], n)));
 }
 
@@ -48,20 +49,25 @@ function boundary(cells, corners, nodes) {
 }
 
 // What is drawn: corners of triangles with their place, how far beyond the plane they are at rest, colour and borders.
-// body: cells, corners, surface; rest and at: nodes (3 n) [m]; tint: (3 a cell); cut: axis and place, or null
-function drawn({cells, corners, surface}, rest, at, tint, cut) {
+// body: cells, corners, surface; rest and at: nodes (3 n) [m]; tint: (3 a cell); cut: axis and place, or null; push: how
+// far the surface has the colour of a pressure (n, 0 to 1), or null
+function drawn({cells, corners, surface}, rest, at, tint, cut, push) {
   const out = {place: [], away: [], colour: [], edge: []}, inner = [0, 1, 2];
   const far = node => cut ? rest[3 * node + cut.axis] - cut.place : -1;
-  const add = (places, away, cell, edges) => places.forEach((p, k) => {
+  const pressed = inner.map(n => part(PRESSED, n) / 255);
+  const add = (places, away, cell, edges, pushed = [0, 0, 0]) => places.forEach((p, k) => {
     out.place.push(...p);
     out.away.push(away[k]);
-    for (const n of inner) { out.colour.push(tint[3 * cell + n]); out.edge.push(n === k || !edges[n] ? 1 : 0); }
+    for (const n of inner) {
+      out.colour.push(tint[3 * cell + n] + pushed[k] * (pressed[n] - tint[3 * cell + n]));
+      out.edge.push(n === k || !edges[n] ? 1 : 0);
+    }
   });
   const point = node => [at[3 * node], at[3 * node + 1], at[3 * node + 2]];
   const lined = corners === 4 ? [1, 1, 1] : [0, 0, 0];
   surface.owner.forEach((cell, f) => {
     const nodes = inner.map(k => surface.triangles[3 * f + k]), away = nodes.map(far);
-    if (Math.min(...away) <= 0) add(nodes.map(point), away, cell, lined);
+    if (Math.min(...away) <= 0) add(nodes.map(point), away, cell, lined, nodes.map(n => push ? push[n] : 0));
   });
   if (cut && corners === 4) for (let c = 0; c < cells.length / 4; c++) {
     const nodes = [0, 1, 2, 3].map(k => cells[4 * c + k]);

@@ -42,7 +42,8 @@ function chooseObject(k) {
   const body = {cells, corners: o.corners, surface: boundary(cells, o.corners, rest.length / 3)};
   shown = {o, body, rest, low, high, middle: low.map((v, n) => 0.5 * (v + high[n])),
            reach: 0.5 * Math.hypot(...o.points.span), tint: tints(o.log_modulus, count),
-           estimate: o.estimate && tints(o.estimate, count), frames: o.frames && o.frames.map(values)};
+           estimate: o.estimate && tints(o.estimate, count), frames: o.frames && o.frames.map(values),
+           pushed: o.pressure && values(o.pressure).map(p => p / o.pressure.span[0])};
   Object.assign(state, {axis: o.open.axis, cut: o.open.at === null ? 1
     : (o.open.at - low[o.open.axis]) / o.points.span[o.open.axis]});  // opens cut through what is hidden
   $("object").value = state.object;
@@ -129,7 +130,8 @@ function draw() {
   const now = `${a} ${state.cut} ${state.frame}`;
   if (shown.now !== now) {                                // turning needs no new triangles
     shown.now = now;
-    shown.parts = [shown.tint, shown.estimate].map(tint => tint && drawn(shown.body, shown.rest, at, tint, cutting));
+    const nodes = at.length / 3, push = shown.pushed?.subarray(state.frame * nodes, (state.frame + 1) * nodes);
+    shown.parts = [shown.tint, shown.estimate].map(tint => tint && drawn(shown.body, shown.rest, at, tint, cutting, push));
   }
   if (shown.estimate) {                                  // the truth left, the estimate right, turned together
     const half = Math.floor(width / 2), d = devicePixelRatio, [right, up] = view.shift;
@@ -289,7 +291,7 @@ function listen() {
 }
 
 function pick(e) {                                       // the touch whose target is nearest to a click
-  const box = $("stage").getBoundingClientRect(), view = camera(), d = devicePixelRatio;
+  const box = $("body").getBoundingClientRect(), view = camera(), d = devicePixelRatio;
   const far = shown.o.touches.map(t => {
     const [x, y] = pixel(view, t.target);
     return Math.hypot(x - (e.clientX - box.left) * d, y - (e.clientY - box.top) * d);

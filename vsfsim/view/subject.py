@@ -60,10 +60,10 @@ def of_press(name: str, result: PressResult) -> dict[str, Any]:
     """
     if result.body is None:
         raise VsfsimError("--picture NAME.html draws the elements of a solid, and this press has none; give NAME.png.")
-    body, moved, probe = result.body
+    body, moved, probe, pressure = result.body
     return {"name": name, "about": result.headline, **of_elements(body, result.touch.target),
-            "frames": [quantised(body.points + u) for u in moved], "touches": [touch_table(result.touch, probe)],
-            "picture": None}
+            "frames": [quantised(body.points + u) for u in moved], "pressure": quantised(pressure.reshape(-1, 1)),
+            "touches": [touch_table(result.touch, probe)], "picture": None}
 
 
 def of_body(drawing: Drawing) -> dict[str, Any]:

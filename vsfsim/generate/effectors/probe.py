@@ -229,6 +229,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
     edge, full, at_contact = model.element_size, spec.inward - 1, edge_at(model, aim.target)
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
     body = Elements.of_quadratic(model.mesh.points, model.mesh.tets, model.young_modulus.mean(axis=1))
+    pressure = np.stack([node_pressure(model.mesh, f) for f in np.nan_to_num(push)])
     deep = [f"The probe starts {1e3 * begun:.1f} mm inside the body, so depth counts from there "
             "and not from first contact; move from in [press] back to where the probe is free."]
     deep = deep if begun > 0.05 * way.max() else []  # less is the faceting of a round body
@@ -259,8 +260,8 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         model=f"tier {tier}, {tets} tetrahedra",
         headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
         caption="left: cut open where it is pressed; right: the whole body",
-        panels=_panels(model, body, scene.bodies, placed, moved, np.nan_to_num(push), full),
-        body=(body, moved, scene.probe), arrays=_arrays(model, placed, moved, push))
+        panels=_panels(model, body, scene.bodies, placed, moved, pressure / 1e3, full),
+        body=(body, moved, scene.probe, pressure), arrays=_arrays(model, placed, moved, push))
 
 
 def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force: np.ndarray, slipping: float) -> str:
@@ -272,7 +273,7 @@ def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force:
 
 
 def _panels(model: Model, body: Elements, shapes: tuple[ProbeShape, ...], poses: np.ndarray, moved: np.ndarray,
-            push: np.ndarray, full: int) -> Callable[[int], tuple[BodyPanel, ...]]:
+            pressure: np.ndarray, full: int) -> Callable[[int], tuple[BodyPanel, ...]]:
     """Of a frame, the body cut open where it is pressed, with the rigid bodies; and whole, with the contact pressure.
 
     Args:
@@ -281,11 +282,10 @@ def _panels(model: Model, body: Elements, shapes: tuple[ProbeShape, ...], poses:
         shapes: of the K rigid bodies.
         poses: of them (T, K, 4, 4) [m].
         moved: displacements (T, n, 3) [m].
-        push: forces on the surface's nodes (T, s, 3) [N].
+        pressure: contact pressure at the nodes (T, n) [kPa].
         full: number of the frame of full depth.
     """
     mesh = model.mesh
-    pressure = [node_pressure(mesh, f) / 1e3 for f in push]
     where = mesh.points + moved[full]
     at = (np.average(where, axis=0, weights=pressure[full]) if pressure[full].any() else poses[full, 0, :3, 3])
     normal = facing(body, at)
