@@ -30,14 +30,13 @@ def balls(*given):
     return f"{{ base = 1e5, inclusions = [{rows}] }}"
 
 
-UP = (0.0, 0.0, 0.05)
 HALF = "{ base = 1e5, inclusions = [{ box = [-0.03, -0.03, 0.0, 0.03, 0.03, 0.02], value = 200 }] }"
 
 
 @pytest.mark.parametrize(("word", "said", "made"), [
     ("unused-part", r"inclusions\[0\].*lies outside the body", solid(young_modulus=balls((0.0405, 0.01), (0.0, 0.01)))),
     ("unused-part", r"inclusions\[0\].*lies under later ones", solid(young_modulus=balls((0.0, 0.005), (0.001, 0.01)))),
-    ("no-contact", "never brings the probe.* 10 mm away", solid(UP)),
+    ("no-contact", "never brings the probe.* 10 mm away", solid((0.0, 0.0, 0.05))),
     ("no-contact", "never brings the probe", skin(0.05)),
     ("out-of-reach", "obstacle 1 never touches: it stays", solid(obstacles=FAR)),
     ("out-of-reach", "part 1 never touches: it stays", solid(probe=HANDLE)),
@@ -53,7 +52,7 @@ def test_what_has_no_effect_is_refused(word, said, made):
 
 
 @pytest.mark.parametrize("made", [
-    solid(UP, allow=["no-contact"]),
+    solid((0.0, 0.0, 0.05), allow=["no-contact"]),
     solid(allow=["out-of-reach", "unused-part"], obstacles=FAR, young_modulus=balls((0.5, 0.01))),
     solid(gravity=[0.0, 0.0, 0.0], young_modulus=100)], ids=["no-contact", "others", "weightless"])
 def test_what_is_meant_is_pressed(made):
@@ -61,7 +60,7 @@ def test_what_is_meant_is_pressed(made):
 
 
 def test_a_dataset_is_refused_too_and_so_is_an_unknown_word(tmp_path, monkeypatch):
-    monkeypatch.setattr("vsfsim.physics.linear.rest_factor.RestFactor._solver", property(pytest.fail))  # not yet
+    monkeypatch.setattr("vsfsim.physics.linear.rest_factor.RestFactor._solver", property(pytest.fail))
     loaded = solid(young_modulus=balls((0.5, 0.01)), more="touches = { count = 1, depth = 0.003 }")
     with pytest.raises(SceneError, match="lies outside the body"):
         prepare(jobs_of(make_recipe(loaded), loaded.path, tmp_path)[0], device="cpu")
