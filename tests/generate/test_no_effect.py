@@ -9,7 +9,7 @@ from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.press.command import press
 
-HANDLE = "{ shape = { sphere = 0.01 }, parts = [{ shape = { sphere = 0.005 }, offset = [0.0, 0.0, 0.1] }] }"
+HANDLE = "{shape = {sphere = 0.01}, parts = [{shape = {sphere = 0.005}, offset = [0.0, 0.0, 0.1]}]}"
 FAR = "{ shape = { sphere = 0.01 }, pose = [0.3, 0.0, 0.0] }"
 
 
