@@ -164,6 +164,11 @@ def test_tangent_is_symmetric_and_its_projection_never_negative(body, projected)
         assert lowest >= -1e-12 * np.abs(whole).max()
     else:
         assert lowest < -1e-3 * np.abs(whole).max(), "this state was meant to be unstable"
+    if body.kind not in SURFACES and body.device == "cpu":  # the matrix that is factorised is that of the products
+        order = body.model.factor.order
+        body.elements.add_matrices(0, order, values := np.zeros((len(order.owners), 3, 3)))
+        blocks = whole.reshape(*body.points.shape, *body.points.shape)[order.owners, :, order.neighbours]
+        assert np.abs(values - blocks).max() < 1e-12 * np.abs(whole).max()
 
 
 @pytest.mark.parametrize("projected", [False, True])
@@ -178,13 +183,6 @@ def test_tangent_at_rest_is_the_rest_stiffness(body, projected):
     assert np.abs(tangent - rest).max() < 1e-12 * np.abs(rest).max() * (1e4 if projected else 1.0)
     if body.kind not in SURFACES:
         assert np.abs(body.model.factor.stiffness - rest).max() < 1e-12 * np.abs(rest).max()
-
-
-def test_the_bits_are_the_same_again(body):
-    u = crumpled(body, 2e-3)
-    x = np.random.default_rng(3).standard_normal((len(u), 3))
-    first, again = ((*body(u[:, None]), body.tangent_times(u, x, projected=True)) for _ in range(2))
-    assert all(np.array_equal(a, b) for a, b in zip(first, again))
 
 
 @pytest.mark.parametrize("stretches", [(0.8, 0.7, 0.6), (0.95, 0.9, 0.8), (1.5, 1.2, 0.3)])

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from frame_checks import from_above, numbers_stand_for_equilibria
 
-from vsfsim.core.bubble import Bubble
 from vsfsim.core.shape import Cylinder, Plane, Sphere
-from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact import sdf
-from vsfsim.physics.solve import tangent_factor
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
@@ -193,12 +190,3 @@ def test_a_run_does_not_depend_on_the_run_before(model, line, device):
     used = Solver(model, PROBE, device=device, options=hard)
     used.run(down(line, [0.002, 0.004], x=0.01))
     assert same(fresh, used.run(poses, start=from_above(poses)))
-
-
-def test_a_body_with_a_gas_goes_without_a_factor_of_its_tangent(line, monkeypatch):
-    monkeypatch.setattr(tangent_factor, "_USUAL", -1)  # with `_WORK` a factor at every chance
-    monkeypatch.setattr(tangent_factor, "_WORK", 1e12)
-    bubble = build_bubble(Bubble(nodes=100))
-    top = bubble.mesh.points[:, 2].max()
-    poses = line([[0.0, 0.0, top + 0.016], [0.0, 0.0, top + 0.013]], PROBE)
-    assert Solver(bubble, PROBE, device="cpu").run(poses).converged.all()

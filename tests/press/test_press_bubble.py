@@ -11,7 +11,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.effectors.bubble import inward_distance, result_of, solve
+from vsfsim.generate.effectors.bubble import EFFECTOR, inward_distance, result_of, solve
 from vsfsim.press import figures
 from vsfsim.press.command import Press
 from vsfsim.press.command import press as command
@@ -63,7 +63,10 @@ def test_the_skin_has_a_dent_and_a_bulge_and_the_picture_shows_dots(down, tmp_pa
     assert depth.max() == pytest.approx(result.depth[2], rel=0.05)
     assert -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
     assert np.abs(depth[solved.sensor.mesh.rim]).max() < 1e-12
-    figures.picture(result, "small", tmp_path / "p.png")
+    drawn, curves = figures.picture(result, "small", tmp_path / "p.png"), figures.plot(result, "small").axes
+    assert drawn.get_supxlabel() == f"{result.model}; {result.caption}" and result.caption
+    assert [axes.get_title() for axes in curves] == [f"small: {result.model}"] + [""] * (len(curves) - 1)
+    assert len(curves) > 1 and curves[-1].get_xlabel() == result.abscissa
     drawn = matplotlib.image.imread(tmp_path / "p.png")
     assert drawn.shape[1] > 3 * drawn.shape[0] and np.ptp(drawn[:, -200:, 0]) > 0.3, "the camera inside sees dots"
 
@@ -71,12 +74,18 @@ def test_the_skin_has_a_dent_and_a_bulge_and_the_picture_shows_dots(down, tmp_pa
 def test_what_a_sensor_has_not_is_refused():
     with pytest.raises(SceneError, match=r"--refine refines a \[sensor\] where rigid bodies touch it"):
         command(load_scene(find_scene("punyo-block")), refine=3)
+    ball, cube = (scene("bubble", obstacles=f"[{{ shape = {{ {shape} }}, pose = [0.0, 0.0, 0.0] }}]") for shape in
+                  ("sphere = 0.01", "box = [0.02, 0.02, 0.02]"))
+    edges = [each.sample(0).sensor.contact_edge for each in EFFECTOR.finer(ball, Request(), 3)]
+    assert edges == pytest.approx([0.02 / 3.0, 0.01 / 3.0, 0.005 / 3.0]), "the mesh before the last is the scene's"
+    with pytest.raises(SceneError, match="for other bodies give contact_edge"):
+        EFFECTOR.finer(cube, Request(), 3)
 
 
 def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
     soft = scene("block", ("[object]", "sensor = { kind = 'bubble', nodes = 200 }\n[object]"), probe=None,
                  shape="{ box = [0.10, 0.10, 0.04] }", tier='"fem-coarse"', resolution=0.02, young_modulus=5e4,
-                 press="{ path = [[0.004, 0.003, 0.0700], [0.004, 0.003, 0.0665]], frames = 2 }")
+                 press="{ path = [[0.004, 0.003, 0.0700], [0.004, 0.003, 0.0665]], frames = 1 }")
     made = solve(soft.sample(0), Request())
     result = result_of(made, Request())
     saved = {name: values for name, (values, _) in result.saved().items()}

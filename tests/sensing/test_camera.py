@@ -10,7 +10,7 @@ import trimesh
 
 from vsfsim.core.scene import CameraSpec
 from vsfsim.core.solid import TEXTURES, Appearance
-from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.camera import fitting_camera, look_at, render
 from vsfsim.sensing.render_pyrender import load_pyrender
 from vsfsim.sensing.surface import RenderError, Surface
 
@@ -47,6 +47,15 @@ def test_look_at_puts_the_target_in_the_middle_and_up_up():
     assert pose[2, 3] - target[2] == pytest.approx(0.6 * math.sin(0.7))
     assert 2 * math.atan(0.5 * SPEC.height / intrinsics[1, 1]) == pytest.approx(SPEC.fov)
     assert intrinsics[:2, 2].tolist() == [79.5, 59.5], "the middle of 160 x 120 pixels, whose centres are whole numbers"
+
+
+def test_a_fitting_camera_has_the_whole_body_in_the_middle():
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3)) * [0.3, 0.05, 0.02]
+    intrinsics, pose = fitting_camera(points, points, 640, 200)
+    pixel = (points - pose[:3, 3]) @ pose[:3, :3] @ intrinsics.T
+    low, high = (of(pixel[:, :2] / pixel[:, 2:], axis=0) for of in (np.min, np.max))
+    assert 0.5 * (low + high) == pytest.approx([319.5, 99.5])
+    assert ((high - low) / [640, 200]).max() == pytest.approx(0.92)
 
 
 def test_a_picture_is_the_same_whichever_corner_of_a_triangle_comes_first():

@@ -106,7 +106,15 @@ def object_view(index: int, touches: int) -> ObjectView:
 
 def test_contact_sheet_has_a_row_a_view(tmp_path):
     one, three = tmp_path / "one.png", tmp_path / "three.png"
-    contact_sheet([object_view(0, 3)], one)
+    seen = object_view(0, 3)
+    panel = contact_sheet([seen], one).axes[2]
+    for line, touch in zip(panel.lines[::2], seen.touches, strict=True):  # target, and where it is from
+        ends = np.stack([touch.target, touch.target - 0.02 * touch.axis]) - seen.view.camera_pose[:3, 3]
+        pixel = ends @ seen.view.camera_pose[:3, :3] @ seen.view.intrinsics.T
+        assert line.get_xydata() == pytest.approx(pixel[:, :2] / pixel[:, 2:])
+    rows, columns = (np.flatnonzero(seen.view.mask.any(axis=k)) for k in (1, 0))
+    assert panel.get_ylim()[1] < rows[0] - 2 and rows[-1] + 2 < panel.get_ylim()[0], "the whole object is shown"
+    assert panel.get_xlim()[0] < columns[0] - 2 and columns[-1] + 2 < panel.get_xlim()[1]
     contact_sheet([object_view(k, k) for k in range(3)], three, title="three")
     first, all_three = picture(one), picture(three)
     assert all_three.shape[1] == first.shape[1] and all_three.shape[0] > 2.8 * first.shape[0]

@@ -39,7 +39,7 @@ def test_a_box_inside_a_block_is_cut_out_by_its_elements(box, value, focus):
 
 def test_a_layer_of_a_cylinder_is_cut_out_by_its_elements():
     solid, modulus = body("{ box = [-1, -1, 0.010, 1, 1, 0.0112], value = 1e7 }",
-                          shape="cylinder = [0.03, 0.024]")
+                          shape="cylinder = [0.03, 0.024]", resolution=0.008)
     volume = tet_volumes(solid.vertices, solid.tets)
     assert np.allclose(modulus[:, 0][~np.isclose(modulus[:, 0], 1e7)], 1e4)
     assert volume[np.isclose(modulus[:, 0], 1e7)].sum() == pytest.approx(volume.sum() * 1.2 / 24.0)
