@@ -105,7 +105,7 @@ def test_asking_for_more_keeps_the_first(model):
 
 def test_a_response_that_was_not_found_tells_no_depth(model, monkeypatch):
     """A touch of shoes-v2 has 29 kN in its first frame, which is no equilibrium: the mount stopped at first contact."""
-    known, run = aims(model, view(), force_limit=0.4), Solver.run
+    known, run = aims(model, view(), force_limit=0.4, count=4), Solver.run
 
     def broken(lost):
         def give(self, poses, **options):
@@ -118,11 +118,11 @@ def test_a_response_that_was_not_found_tells_no_depth(model, monkeypatch):
     for lost in ([1, 3], [-1]):  # between frames that are known, and past the last of them
         monkeypatch.setattr(Solver, "run", broken(lost))
         # a straight line for a force that grows with the power 1.5: the press ends sooner, hardly ever later
-        for a, b in zip(known, aims(model, view(), force_limit=0.4), strict=True):
+        for a, b in zip(known, aims(model, view(), force_limit=0.4, count=4), strict=True):
             assert 0.5 * a.depth < b.depth < 1.1 * a.depth
     monkeypatch.setattr(Solver, "run", broken(slice(None)))
     with pytest.raises(SceneError, match=r"the linear response to the touch at .* was not found"):
-        aims(model, view(), force_limit=0.4)
+        aims(model, view(), force_limit=0.4, count=4)
 
 
 def test_force_limit_cuts_the_depth(model):

@@ -74,11 +74,10 @@ def test_a_touch_ends_before_its_force_limit_on_the_straight_line(scene_file, tm
 
 def test_the_same_job_gives_the_same_bits_and_another_view_another_turn(made, prepared):
     _, view, job = made
-    again = make_view(job, device="cpu")
-    assert all(np.array_equal(a.torque, b.torque, equal_nan=True)
-               for a, b in zip(view.touches, again.touches, strict=True))
-    fewer = dataclasses.replace(job.recipe, touches=1)
-    other = prepare_job(dataclasses.replace(job, view_index=0, name="other", recipe=fewer), device="cpu")
+    fewer = dataclasses.replace(job, recipe=dataclasses.replace(job.recipe, touches=1))
+    (again,) = make_view(fewer, device="cpu").touches
+    assert np.array_equal(view.touches[0].torque, again.torque, equal_nan=True), "its touch is the first of more"
+    other = prepare_job(dataclasses.replace(fewer, view_index=0, name="other"), device="cpu")
     # two views: half a turn
     assert np.allclose(other.plant.nodes, prepared.plant.nodes * [-1.0, -1.0, 1.0])
     assert (other.view.camera_pose == prepared.view.camera_pose).all()
