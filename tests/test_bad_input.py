@@ -88,8 +88,10 @@ def test_a_wrong_word_is_refused_and_leaves_nothing(vsfsim, toy, words, message)
 
 
 def test_a_method_that_fails_is_named_and_the_others_are_scored(vsfsim, toy):
-    out = vsfsim("evaluate", "--method", "toy_methods:Crashes", *EVALUATE[1:], "--seeds", 1, cwd=toy)
+    out = vsfsim("evaluate", "--method", "toy_methods:Crashes", *EVALUATE[1:], "--method", "gaussian",
+                 "--seeds", 1, cwd=toy)
     assert out.returncode == 2 and "error: toy_methods:Crashes: " in out.stderr
+    assert len(re.findall(r"(?m)^(?:gaussian|toy_methods\.Constant) +\d+\.\d", out.stdout)) == 2
     assert "rmse" in out.stdout and (toy / "results" / "toy-v1" / "toy_methods.Constant.json").is_file()
 
 

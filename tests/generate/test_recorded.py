@@ -134,9 +134,11 @@ def test_torques_of_an_arm_lose_weight_and_tare_and_nothing_else(plants):
     assert "no elements" in repr(dataset[0].truth)
 
 
-def test_pressures_of_a_bubble_become_pascals_over_the_tare(shoes):
+def test_pressures_of_a_bubble_become_pascals_over_the_tare(shoes, tmp_path):
     felt, _, _, dataset = shoes
     for view in dataset:
+        read = np.ravel(record(view, task_of("pressure", tmp_path)).clean)
+        assert read == pytest.approx(np.ravel([w[4:] for _, w in felt[view.name][0]]), abs=1e-6)
         for touch, (_, want) in zip(view.touches, felt[view.name][0], strict=True):
             assert touch.rest_pressure == GAUGE and np.allclose(touch.pressure - GAUGE, want[4:], atol=1e-6)
             assert touch.node_position.shape == (5, 390, 3) and len(touch.node_triangles) == 714

@@ -108,7 +108,7 @@ def test_contact_sheet_has_a_row_a_view(tmp_path):
     one, three = tmp_path / "one.png", tmp_path / "three.png"
     seen = object_view(0, 3)
     panel = contact_sheet([seen], one).axes[2]
-    for line, touch in zip(panel.lines[::2], seen.touches, strict=True):  # target, and where it is from
+    for line, touch in zip(panel.lines[::2], seen.touches, strict=True):
         ends = np.stack([touch.target, touch.target - 0.02 * touch.axis]) - seen.view.camera_pose[:3, 3]
         pixel = ends @ seen.view.camera_pose[:3, :3] @ seen.view.intrinsics.T
         assert line.get_xydata() == pytest.approx(pixel[:, :2] / pixel[:, 2:])
