@@ -74,8 +74,8 @@ def test_the_literal_loss_is_that_of_equation_7():
 
 def test_the_outline_gives_the_pose_of_a_flat_object(trial_seed):
     known, truth = KnownObject.of(*wedge()), pose(2.1 + 2.4 * trial_seed, [0.03, -0.02, 0.002])
-    points, stiffness = buried(known, truth, noise=0.3, seed=trial_seed)
-    found = outline_pose(known, points[::8, :2], stiffness.reshape(-1, 8).max(axis=1), area=0.04, top=0.017)
-    shift, turn = pose_errors(found.transform, truth)
+    points, stiff = buried(known, truth, noise=0.3, seed=trial_seed)
+    at = outline_pose(known, points[::8, :2], stiff.reshape(-1, 8).max(1), area=0.04, top=0.017)
+    shift, turn = pose_errors(at.transform, truth)
     print(f"errors: {1000 * shift:.2f} mm, {turn:.4f} rad")
     assert shift < 0.002 and turn < 0.02
