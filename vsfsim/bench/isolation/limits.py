@@ -144,8 +144,9 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str],
     paths = {form(path) for path in map(str, wanted) for form in (os.path.realpath, os.path.abspath)} - apart
     # of a method's own no digest is made, and it need not be of the source beside it
     bytecode = [path for package in own for path in package.rglob("__pycache__")]
-    # which are written and read in a folder that is read-only, too
-    pipes = [path for top in (*own, *named) for path in top.rglob("*") if path.is_fifo() or path.is_socket()]
+    # which are written and read in a folder that is read-only, too; `os.walk` goes on where a folder vanishes
+    pipes = [path for top in (*own, *named) for where, _, names in os.walk(top)
+             for path in map(Path(where).joinpath, names) if path.is_fifo() or path.is_socket()]
     # in a wheel they lie inside the package
     shipped = [folder(name) for name in ("leaderboard", "scenes", "tasks")]
     # the working folder, the repository and archives of datasets, where they lie in the system's, as in /opt
