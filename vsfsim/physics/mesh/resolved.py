@@ -20,7 +20,7 @@ indentation.
 Where a wall bends under the contact, only the share of the way that is local indentation has this error.
 
 Under a body with edges the error falls as h / a, since the pressure has no bound at an edge. 26 frames of six random
-presses by flat cylinders, a / h from 1.5 to 3.2, were off by up to 0.18 h / a (0.08 in the median) against the forces of
+presses by flat cylinders, a / h from 1.5 to 3.2, were off by up to 0.18 h / a (0.08 in the median) against
 `references/presses.json`; the largest is taken, so that a frame is marked below 1.8 elements.
 """
 
