@@ -45,7 +45,7 @@ def posix_memory(do):
 
 
 def systemv(call, *operands):
-    return lambda do: getattr(LIBC, call)(KEY, *operands, 0o666 | (0o1000 if do == "leave" else 0)) >= 0
+    return lambda do: getattr(LIBC, call)(KEY, *operands, 0o1666 if do == "leave" else 0o666) >= 0
 
 
 def posix_queue(do):
@@ -178,6 +178,7 @@ def absent(handle, place):
 WAYS = {
     "page cache": page_cache(absent), "page cache by the clock": page_cache(wait, 1 << 18),
     "watch": lambda do: LIBC.syscall(262 + 38 * (os.uname().machine == "x86_64"), 0x200, 0) >= 0 and do == "take",
+    "file system": lambda do: LIBC.ioctl(os.open(os.__file__, 0), 0x80086601, bytes(8)) == 0,
     "ring of calls": lambda do: LIBC.syscall(425, 8, bytes(120)) >= 0 and do == "take",
     "working folder": file(os.getcwd), "/tmp": file(lambda: "/tmp"), "/var/tmp": file(lambda: "/var/tmp"),
     "/dev/shm": file(lambda: "/dev/shm"), "home": file(lambda: os.path.expanduser("~/.config")),

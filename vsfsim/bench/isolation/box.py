@@ -24,9 +24,12 @@ _BIND, _REC, _PRIVATE, _DETACH = 4096, 16384, 1 << 18, 2
 _MOUNT_SETATTR, _RECURSIVE, _RDONLY, _NOSUID = 442, 0x8000, 1, 2
 _DUMPABLE, _SECCOMP, _NO_NEW_PRIVILEGES = 4, 22, 38
 _NOBODY = 65534
-_CALLS = {"x86_64": (0xC000003E, 41, 53, 56, 272, 72, (248, 249, 250, 300, 327, 451, 206, 425, 103), (73, 221, 254)),
-          "aarch64": (0xC00000B7, 198, 199, 220, 97, 25, (217, 218, 219, 262, 286, 451, 0, 425, 116), (32, 223, 27))}
-# Of a machine, the number of its system calls' table, and in it socket, socketpair, clone, unshare and fcntl;
+_CALLS = {"x86_64": (0xC000003E, 41, 53, 56, 272, 16, 72,
+                     (248, 249, 250, 300, 327, 451, 206, 425, 103), (73, 221, 254)),
+          "aarch64": (0xC00000B7, 198, 199, 220, 97, 29, 25,
+                      (217, 218, 219, 262, 286, 451, 0, 425, 116), (32, 223, 27))}
+# Of a machine, the number of its system calls' table, and in it socket, socketpair, clone, unshare, ioctl (of which
+# nothing is asked of a file system, 0x66, which keeps keys and tells what of a file was read) and fcntl;
 # what is refused: add_key, request_key, keyctl, fanotify_init, preadv2, cachestat, io_setup, io_uring_setup and syslog;
 # what does nothing: flock, fadvise64 and inotify_add_watch. The kernel's keyrings are in no namespace of root's; its
 # log, which keeps the name and address of what crashed, is in none, and neither are sockets to the host of a virtual
@@ -131,24 +134,27 @@ def _lose_privileges(libc: ctypes.CDLL) -> None:
             os.setresuid(_NOBODY, _NOBODY, _NOBODY)
             libc.prctl(_DUMPABLE, 1, 0, 0, 0)
     _check(libc.capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()), "capset")
-    if platform.machine() in _CALLS:
-        table, socket, pair, clone, unshare, control, refused, shared = _CALLS[platform.machine()]
-        load, equal, at_least, has = 0x20, 0x15, 0x35, 0x45
+    if calls := _CALLS.get(platform.machine()):
+        table, socket, pair, clone, unshare, asked, control, refused, shared = calls
+        load, equal, at_least, has, mask = 0x20, 0x15, 0x35, 0x45, 0x54
         # see seccomp(2): the table's number, the call's, the family of a socket, flags, what fcntl is asked
         rules = [(load, 4), (equal, table, 0, "refuse"), (load, 0), (at_least, _X32, "refuse", 0),
-                 *((equal, call, "refuse", 0) for call in refused), *((equal, call, "ignore", 0) for call in shared),
-                 (equal, _CLONE3, "unknown", 0), (equal, socket, 1, 0), (equal, pair, 0, 2),
-                 (load, 16), (equal, _UNIX, "allow", "refuse"),
+                 *((equal, call, "refuse", 0) for call in refused),
+                 *((equal, call, "ignore", 0) for call in shared), (equal, _CLONE3, "unknown", 0),
+                 (equal, socket, 1, 0), (equal, pair, 0, 2), (load, 16), (equal, _UNIX, "allow", "refuse"),
                  (equal, clone, 1, 0), (equal, unshare, 0, 2), (load, 16), (has, _USER, "refuse", "allow"),
-                 (equal, control, 0, "allow"), (load, 24), *((equal, what, "ignore", 0) for what in _ON_FILES)]
+                 (equal, asked, 0, 3), (load, 24), (mask, 0xFF00),
+                 (equal, 0x6600, "refuse", "allow"), (equal, control, 0, "allow"), (load, 24),
+                 *((equal, what, "ignore", 0) for what in _ON_FILES)]
         # ends: allow, refuse with EPERM, say that it was done, or that there is no such call, so that libraries make
         # another (ENOSYS); a jump counts the steps that it leaves out
         ends = {"allow": 0x7FFF0000, "refuse": 0x50001, "ignore": 0x50000, "unknown": 0x50026}
         place = {name: len(rules) + k for k, name in enumerate(ends)}
-        steps = [(code, *(place[to] - k - 1 if to in place else to for to in jumps or (0, 0)), value)
-                 for k, (code, value, *jumps) in enumerate(rules)] + [(0x06, 0, 0, value) for value in ends.values()]
-        buffer = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
-        program = (ctypes.c_uint64 * 2)(len(steps), ctypes.addressof(buffer))
+        steps = [(code, *(place[to] - k - 1 if to in place else to for to in jumps or (0, 0)),
+                  value) for k, (code, value, *jumps) in enumerate(rules)]
+        steps += [(0x06, 0, 0, value) for value in ends.values()]
+        words = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
+        program = (ctypes.c_uint64 * 2)(len(steps), ctypes.addressof(words))
         _check(libc.prctl(_SECCOMP, 2, program, 0, 0), "seccomp")
 
 

@@ -251,7 +251,8 @@ class _Server:
         from vsfsim.bench.check import check  # half of what a process would import that is not asked to check
 
         findings = check(name, parameters=self.parameters, brief=True)
-        return Reply({"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]})
+        failed = (f for f in findings if f.outcome == "failed")
+        return Reply({"failed": [[f.clause, plain(f.detail)] for f in failed]})
 
     def do_build(self, seed: int | None) -> None:
         self.method = build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
