@@ -105,20 +105,6 @@ def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray
     return tuple(out)
 
 
-def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]") -> BubbleModel:
-    """The model of a bubble, made once in a process.
-
-    Args:
-        spec: the bubble.
-        finer: where its mesh is refined.
-        where: scene and section, for messages.
-
-    Raises:
-        SceneError: the gauge pressure is beyond the membrane's limit point, or the dome holds more than the gas.
-    """
-    return _build(spec, tuple((edge, nodes) for edge, nodes in finer if nodes), where)
-
-
 def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Flat positions (n, 2) [m], triangles (f, 3) and rim (r,). The mesh with the default number of nodes contains the
     nodes of the read-out mesh."""
@@ -142,12 +128,6 @@ def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np
             hinge.block(faces, points, rest, spec.bending))
 
 
-def sheet(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> Sheet:
-    """The flat, clamped sheet, with u = 0 in the plane of the rim."""
-    points = np.column_stack([flat, np.zeros(len(flat))])
-    return Sheet(points, elastic_blocks(spec, points, flat, faces), closed(faces, rim), _free(len(flat), rim))
-
-
 def _free(nodes: int, rim: np.ndarray) -> np.ndarray:
     free = np.ones((nodes, 3))
     free[rim] = 0.0
@@ -158,16 +138,18 @@ def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
               known: tuple[np.ndarray, np.ndarray, np.ndarray] | None, where: str) -> np.ndarray:
     """Displacements (n, 3) [m] from a flat mesh to the free dome, from the nodes, triangles and displacements of a
     ``known`` dome on another mesh; where that does not converge, or without one, by following the branch."""
-    own = sheet(spec, *mesh)
+    flat, faces, rim = mesh
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    own = Sheet(points, elastic_blocks(spec, points, flat, faces), closed(faces, rim), _free(len(flat), rim))
     if known is not None:
-        triangle, weights = containing(*known[:2], mesh[0])
+        triangle, weights = containing(*known[:2], flat)
         weights[np.abs(weights) < 1e-12] = 0.0
         guess = (interpolation(known[1][triangle], weights, len(known[0])) @ known[2]).ravel() * own.free
         found = own.balanced(guess, spec.gauge_pressure, iterations=20)
         if found is not None:
             return found.displacement.reshape(-1, 3)
-    (a, b), begin = spec.semi_axes, np.zeros((len(mesh[0]), 3))
-    begin[:, 2] = _SHALLOW * b * (1.0 - (mesh[0][:, 0] / a) ** 2 - (mesh[0][:, 1] / b) ** 2)  # of a shallow dome
+    (a, b), begin = spec.semi_axes, np.zeros((len(flat), 3))
+    begin[:, 2] = _SHALLOW * b * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)  # of a shallow dome
     return inflate(own, begin.ravel(), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
 
 
@@ -193,7 +175,17 @@ def interpolation(nodes: np.ndarray, weights: np.ndarray, count: int) -> sp.csr_
 
 
 @functools.lru_cache(maxsize=8)
-def _build(spec: Bubble, finer: Wishes, where: str) -> BubbleModel:
+def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]") -> BubbleModel:
+    """The model of a bubble, made once in a process.
+
+    Args:
+        spec: the bubble.
+        finer: where its mesh is refined; the element size is that at the nodes that it names.
+        where: scene and section, for messages.
+
+    Raises:
+        SceneError: the gauge pressure is beyond the membrane's limit point, or the dome holds more than the gas.
+    """
     flat, faces, rim = flat_mesh(spec)
     known = None
     if finer:
@@ -207,22 +199,7 @@ def _build(spec: Bubble, finer: Wishes, where: str) -> BubbleModel:
         coarse = flat_mesh(spec, READ_OUT)
         known = *coarse[:2], _inflated(spec, coarse, None, where)
     points = np.column_stack([flat, np.zeros(len(flat))]) + _inflated(spec, (flat, faces, rim), known, where)
-    touched = sorted({node for _, nodes in finer for node in nodes})
-    return assemble_bubble(spec, flat, faces.astype(np.int32), rim, points, where, touched=np.array(touched, int))
-
-
-def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str,
-                    *, touched: np.ndarray | None = None) -> BubbleModel:
-    """The model whose free dome is at ``points`` (n, 3) [m].
-
-    Args:
-        flat, faces, rim: the mesh, as `flat_mesh` returns it.
-        touched: nodes whose elements define the element size, None for all.
-        spec, where: as of `build_bubble`.
-
-    Raises:
-        SceneError: the dome holds more than the gas.
-    """
+    faces = faces.astype(np.int32)
     mesh = TriangleMesh.of(points, faces, rim)
     inside = float(mesh.volume[0])
     dead = spec.gas_volume - inside
@@ -238,7 +215,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     plate = stop.block(stopped, int(rim[0]), points, _STOP * spec.modulus, below=spec.chamber)
     blocks = (*elastic_blocks(spec, points, flat, faces), air, plate)
     factor = RestFactor.of(assemble(len(points), blocks), free, points, gas.rest_coupling(air, len(points)))
-    edge = mesh.edge(touched)
+    edge = mesh.edge(np.array(sorted({node for _, nodes in finer for node in nodes}), int))
     read_out = FlatMesh(*membrane_mesh.ellipse(*spec.semi_axes, READ_OUT))
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
     return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),

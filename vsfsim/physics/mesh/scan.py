@@ -6,22 +6,25 @@ resolves, finer ones are tried, and where none of them is near the surface, fTet
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from filelock import FileLock
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.extras import require
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
-from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, level, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, read_surface
@@ -74,33 +77,16 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float) -> Solid:
         A solid with one region "body"; its lowest z is 0, and its bounding box is centred in x and y.
 
     Raises:
+        SceneError: the mesh would have too many cells.
         MeshError: the file is unreadable, or the mesh has no faces, is not finite, is flat, is too large or too small,
-            holds several objects, cannot be filled, or the filling is off by more than 10 % of it.
+            encloses no volume, holds several objects, cannot be filled, or the filling is off by more than 10 % of it.
     """
     return _filled(shape, resolution, shape.content())
 
 
 @functools.lru_cache(maxsize=4)
 def _filled(shape: MeshFile, resolution: float, content: bytes) -> Solid:
-    surface = read_surface(shape)
-    vertices, tets, shift, notes = fill(surface, resolution, Path(shape.path))
-    return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=(*surface.notes, *notes),
-                 nearest=functools.partial(nearest_on, surface.vertices - shift, surface.faces))
-
-
-forget_fillings = _filled.cache_clear
-"""Fill a scan anew in this process."""
-
-
-def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
-    """Vertices (n, 3) [m] and tetrahedra (m, 4) inside a surface, with the base centre at the origin, by how much they
-    are shifted against the surface (3,) [m], and notes.
-
-    Raises:
-        SceneError: the mesh would have too many cells.
-        MeshError: it encloses no volume, holds more than one object, or the
-            filling is off by more than 10 % of it.
-    """
+    surface, path = read_surface(shape), Path(shape.path)
     check_cells(surface.extents, resolution, f"mesh file '{path}'")
     volume = scan_volume(surface)
     if volume < 1e-4 * float(np.prod(surface.extents)):
@@ -115,7 +101,12 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
     moved = -(surface.centre + shift)
     notes += [found.sentence(), f"Moved by ({', '.join(f'{s:.4g}' for s in moved)}) m so that the base centre is the "
               "origin."]
-    return vertices - shift, tets, shift, notes
+    return Solid(vertices - shift, tets, np.zeros(len(tets), np.int64), ("body",), notes=(*surface.notes, *notes),
+                 nearest=functools.partial(nearest_on, surface.vertices - shift, surface.faces))
+
+
+forget_fillings = _filled.cache_clear
+"""Fill a scan anew in this process."""
 
 
 def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Filling:
@@ -159,7 +150,7 @@ def ftetwild(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarra
     through pytetwild, which takes a surface that crosses itself, and walls of any thickness.
 
     Its mesh differs from run to run, even with one thread: it is asked for where a regular lattice does not do, and
-    what it made first is kept in `vsfsim.physics.disk_cache`.
+    what it made first is kept on disk, in ``$XDG_CACHE_HOME/vsfsim`` or ``~/.cache/vsfsim``.
 
     Args:
         surface: what is filled.
@@ -191,11 +182,31 @@ def ftetwild(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarra
             with np.load(made, allow_pickle=False) as data:
                 return {name: data[name] for name in data.files}
 
-    found = disk_cache.kept(disk_cache.folder() / f"tets-{key[:32]}.npz", make)
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    found = _kept(base / "vsfsim" / f"tets-{key[:32]}.npz", make)
     vertices, tets = found["vertices"].astype(np.float64), found["tets"].astype(np.int64)
     volumes = tet_volumes(vertices, tets)
     tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
     return vertices, tets[np.abs(volumes) > 1e-9 * resolution**3]
+
+
+def _kept(path: Path, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays of a file, or else those that ``make`` gives, which are kept there, whole or not at all: made by one
+    worker while the others wait. A folder that cannot be written, or a file system without locks, costs double work."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(FileLock(path.with_suffix(".lock")))
+        made: dict[str, np.ndarray] = {}
+        for _ in range(2):
+            with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as data:  # none, or a damaged one
+                return dict(data)
+            made = made or make()
+            with contextlib.suppress(OSError), tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part") as file:
+                np.savez(file, **made)  # type: ignore[arg-type]
+                file.flush()
+                os.link(file.name, path)  # not where another worker was first, without locks: its file is read then
+        return made
 
 
 def _misses(filling: _Filling) -> float:

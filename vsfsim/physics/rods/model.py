@@ -3,10 +3,10 @@ rest."""
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.plant import Plant
@@ -53,7 +53,7 @@ class RodOptions:
 class RodModel:
     """A plant ready to be solved, with n nodes and Q contact fibres. A fibre runs along a segment at a fixed offset
     from its middle line: one in a round branch, several across a blade. Where a branch ends, its tip is a fibre of no
-    length. Entry 0 of the arrays of segments is not used."""
+    length. Entry 0 of what is of segments is not used."""
 
     plant: Plant
     """The plant that it was made from."""
@@ -63,26 +63,14 @@ class RodModel:
     """Axial and shear stiffnesses, see `kernels.segment` (n, 3) [N/m]."""
     kphi: np.ndarray
     """Torsional and bending stiffnesses, see `kernels.segment` (n, 3) [N m]."""
-    wire: np.ndarray
-    """Bending stiffness of the core of each segment and the moment at which it yields, 0 for a segment that does not
-    (n, 2) [N m]."""
-    reach: np.ndarray
-    """Longest way along segments from a node to a descendant (n,) [m]."""
-    first: np.ndarray
-    """First fibre of each segment, and the end (n + 1,)."""
-    offset: np.ndarray
-    """Offset of each fibre from the middle line (Q, 3) [m]."""
-    radius: np.ndarray
-    """Radius of the branch around each fibre (Q,) [m]."""
-    tip: np.ndarray
-    """Whether a fibre is a tip (Q,) bool."""
+    arrays: dict[str, np.ndarray]
+    """What the kernels are given of it, by the names of `structs.Trees`, where nodes and fibres of all plants are
+    counted together."""
     penalty: np.ndarray
     """Contact penalty of 2 mm of each fibre (`kernels.fibre.CONTACT_LENGTH`), at the parent's end and at the child's
     (Q, 2) [N/m]."""
     compliance: np.ndarray
     """Displacement and spin of each node under a force and a moment there, at rest (n, 6, 6) [m/N and so on]."""
-    weight: np.ndarray
-    """Dead load on each node (n, 3) [N]."""
 
     def floor(self) -> float:
         """Bound on the rounding error of the sum of unbalanced forces [N]."""
@@ -99,22 +87,24 @@ class RodModel:
             along: their places along these, 0 to 1 (k,) [-].
             offset: their offsets from the middle line (k, 3) [m].
         """
-        c = self._point_compliance(segment, along, offset)
+        c = _point_compliance(self.plant, self.compliance, segment, along, offset)
         soft = np.einsum("ki,kij,kj->k", direction, c, direction)
         return np.where(soft > 0.0, 1.0 / np.where(soft > 0.0, soft, 1.0), np.inf)
 
-    def _point_compliance(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Compliance of material points (k, 3, 3) [m/N], which move as `kernels.fibre` says."""
-        parent = self.plant.parent[segment]
-        way, s = self.plant.nodes[segment] - self.plant.nodes[parent], along[:, None]
-        carry = _carry(way)
-        cp, cc = self.compliance[parent], self.compliance[segment]
-        share = (s**2 * (3.0 - 2.0 * s))[..., None]
-        a = (1.0 - share) * _carry(offset + s / (1.0 + 2.0 * s) * way)[:, :3]
-        b = share * _carry(offset - (1.0 - s) / (3.0 - 2.0 * s) * way)[:, :3]
-        mixed = cp @ carry.transpose(0, 2, 1)
-        cross = a @ mixed @ b.transpose(0, 2, 1)
-        return a @ cp @ a.transpose(0, 2, 1) + b @ cc @ b.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
+
+def _point_compliance(plant: Plant, compliance: np.ndarray, segment: np.ndarray, along: np.ndarray,
+                      offset: np.ndarray) -> np.ndarray:
+    """Compliance of material points (k, 3, 3) [m/N], which move as `kernels.fibre` says."""
+    parent = plant.parent[segment]
+    way, s = plant.nodes[segment] - plant.nodes[parent], along[:, None]
+    carry = _carry(way)
+    cp, cc = compliance[parent], compliance[segment]
+    share = (s**2 * (3.0 - 2.0 * s))[..., None]
+    a = (1.0 - share) * _carry(offset + s / (1.0 + 2.0 * s) * way)[:, :3]
+    b = share * _carry(offset - (1.0 - s) / (3.0 - 2.0 * s) * way)[:, :3]
+    mixed = cp @ carry.transpose(0, 2, 1)
+    cross = a @ mixed @ b.transpose(0, 2, 1)
+    return a @ cp @ a.transpose(0, 2, 1) + b @ cc @ b.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
 
 
 def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RodModel:
@@ -138,16 +128,46 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wire = np.zeros((n, 2))
     if plant.yielding is not None:
         wire[1:] = plant.yielding[1:] / np.stack([length[1:], np.ones(n - 1)], axis=1)
-    model = RodModel(plant, frame, kd, kphi, wire, reach, np.searchsorted(segment, np.arange(n + 1)), offset, radius,
-                     tip, np.zeros((0, 2)), compliance, np.zeros((n, 3)))
-    softest = np.stack([np.linalg.eigvalsh(model._point_compliance(segment, np.full(len(segment), end), offset))[:, -1]
-                        for end in (0.0, 1.0)], axis=1)
+    softest = np.stack([np.linalg.eigvalsh(_point_compliance(
+        plant, compliance, segment, np.full(len(segment), end), offset))[:, -1] for end in (0.0, 1.0)], axis=1)
     penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)
     area = np.where(plant.half_width > 0.0, 4.0 * plant.half_width * plant.radius, np.pi * plant.radius**2)
     mass = np.zeros(n)
     np.add.at(mass, np.arange(1, n), 0.5 * (plant.density * area * length)[1:])
     np.add.at(mass, plant.parent[1:], 0.5 * (plant.density * area * length)[1:])
-    return dataclasses.replace(model, penalty=penalty, weight=mass[:, None] * np.asarray(gravity, float))
+    child, sibling = _children(plant.parent)
+    rank, level = _levels(plant.parent)
+    return RodModel(plant, frame, kd, kphi, {
+        "parent": plant.parent, "rest": plant.nodes, "frame": quaternions(frame), "length": length, "kd": kd,
+        "kphi": kphi, "wire": wire, "load": mass[:, None] * np.asarray(gravity, float), "reach": reach,
+        "bound": plant.radius + plant.half_width, "fibre": np.searchsorted(segment, np.arange(n)), "child": child,
+        "next": sibling, "rank": rank, "level": level, "offset": offset, "radius": radius, "tip": tip.astype(np.int32),
+    }, penalty, compliance)
+
+
+def _children(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The child of each node with the highest number, and the sibling with the next lower one (n,); -1 for none."""
+    child, sibling = np.full(len(parent), -1), np.full(len(parent), -1)
+    for i in range(1, len(parent)):
+        sibling[i] = child[parent[i]]
+        child[parent[i]] = i
+    return child, sibling
+
+
+def _levels(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nodes sorted by level, their number of segments from the root (n,), and the first place of each level and the
+    end (levels + 1,)."""
+    depth = np.zeros(len(parent), int)
+    for i in range(1, len(parent)):
+        depth[i] = depth[parent[i]] + 1
+    rank = np.argsort(depth, kind="stable")
+    return rank, np.searchsorted(depth[rank], np.arange(depth.max() + 2))
+
+
+def quaternions(rotation: np.ndarray) -> np.ndarray:
+    """x y z w (..., 4) of rotations (..., 3, 3)."""
+    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
+    return flat.reshape(*rotation.shape[:-2], 4)
 
 
 def sections(plant: Plant) -> tuple[np.ndarray, np.ndarray]:

@@ -15,20 +15,11 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
+from vsfsim.physics.rods import structs
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.kernels.lanes import LANES
-from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel, RodOptions
-from vsfsim.physics.rods.structs import (
-    Limits,
-    Results,
-    Touches,
-    allocate,
-    filled,
-    levels_of,
-    make_trees,
-    quaternions,
-    started,
-)
+from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel, RodOptions, quaternions
+from vsfsim.physics.rods.structs import allocate, filled, make_trees, started
 
 SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
 MOST_CAPSULES = 31  # the contact search has a bit for each
@@ -89,20 +80,15 @@ class RodSolver:
         options: limits.
 
     Raises:
-        RodError: there is no plant or no capsule, a shape is not a capsule, there are too many, or a capsule is so thin
-            that it would slip between the contact fibres of a leaf blade.
+        RodError: there are too many capsules, or one is so thin that it would slip between the contact fibres of a leaf
+            blade.
     """
 
     def __init__(self, models: Sequence[RodModel], shapes: Sequence[Capsule], *, device: str = "cpu",
                  options: RodOptions | None = None):
         self.models, self.shapes = list(models), list(shapes)
         self.device, self.options = device, options or RodOptions()
-        if not self.models or not self.shapes:
-            raise RodError("a rod solver needs at least one plant and one capsule.")
-        for shape in self.shapes:
-            if not isinstance(shape, Capsule):
-                raise RodError(f"plants are touched by capsules only, not by {shape!r}; give "
-                               f"vsfsim.core.shape.Capsule, of length 0 for a ball.")
+        assert self.models and self.shapes
         if len(self.shapes) > MOST_CAPSULES:
             raise RodError(f"{len(self.shapes)} capsules, at most {MOST_CAPSULES} can touch plants together.")
         thinnest = min(shape.radius for shape in self.shapes)
@@ -124,31 +110,29 @@ class RodSolver:
             plan: number of the pose on the way of each frame (B, T); None for one frame a pose.
             keep_nodes: return the states of the nodes.
             progress: called with the number of frames newly done, launch by launch.
-
-        Raises:
-            RodError: shapes do not fit, or poses are not finite.
         """
         plant, poses = np.asarray(plant, np.int32), np.asarray(poses, float)
         p, b = len(poses), len(plant)
         plan = np.tile(np.arange(p), (b, 1)) if plan is None else np.asarray(plan)
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
-        self._check(b, poses, plan, friction)
+        assert poses.shape[1:] == (b, len(self.shapes), 4, 4) and poses.size and np.isfinite(poses).all()
+        assert len(plan) == b and np.isin(plan, np.arange(p)).all() and ((friction >= 0.0) & (friction <= 10.0)).all()
         t, options = plan.shape[1], self.options
         sizes = {"B": b, "N": max(len(m.plant.nodes) for m in self.models), "T": t, "W": p, "K": len(self.shapes),
-                 "C": options.room, "D": max(len(levels_of(m)[1]) for m in self.models) + 1,
+                 "C": options.room, "D": max(len(m.arrays["level"]) for m in self.models) + 1,
                  "V": t if keep_nodes else 0}
         lanes = LANES if wp.get_device(self.device).is_cuda else 1
         with wp.ScopedDevice(self.device):
-            limits = Limits()
+            limits = structs.Limits()
             for field in dataclasses.fields(options):
                 setattr(limits, field.name, getattr(options, field.name))
             touch = filled(
-                Touches, limits=limits, plant=plant, friction=friction, plan=plan,
+                structs.Touches, limits=limits, plant=plant, friction=friction, plan=plan,
                 half=np.array([0.5 * s.length for s in self.shapes]), radius=np.array([s.radius for s in self.shapes]),
                 position=np.swapaxes(poses[..., :3, 3], 0, 1),
                 rotation=np.swapaxes(quaternions(poses[..., :3, :3]), 0, 1))
             work = started([self.models[k] for k in plant], **sizes)
-            out = allocate(Results, **(sizes if keep_nodes else {**sizes, "N": 0}))
+            out = allocate(structs.Results, **(sizes if keep_nodes else {**sizes, "N": 0}))
             live, before = np.arange(b), 0
             while len(live):
                 # the touches with most frames to go come first, in case the device cannot hold all of them at once
@@ -160,19 +144,6 @@ class RodSolver:
                 progress(int(at["next"].sum()) - before)
                 before = int(at["next"].sum())
         return self._frames(plant, at["next"] - at["ended"], out, keep_nodes)
-
-    def _check(self, b: int, poses: np.ndarray, plan: np.ndarray, friction: np.ndarray) -> None:
-        p, k = len(poses), len(self.shapes)
-        if poses.shape != (p, b, k, 4, 4) or p == 0 or b == 0:
-            raise RodError(f"poses have the shape {poses.shape} for {b} touches and {k} capsules; give (T, {b}, "
-                           f"{k}, 4, 4).")
-        if not np.isfinite(poses).all():
-            raise RodError("a pose is not finite; leave out frames that the arm cannot reach.")
-        if plan.ndim != 2 or len(plan) != b or not np.isin(plan, np.arange(p)).all():
-            raise RodError(f"the plan has the shape {plan.shape} and numbers {plan.min():g} to {plan.max():g}; give "
-                           f"({b}, frames) whole numbers of the {p} poses, from 0.")
-        if not ((friction >= 0.0) & (friction <= 10.0)).all():
-            raise RodError(f"friction is {friction.min():g} to {friction.max():g}; it must be from 0 to 10.")
 
     def _frames(self, plant: np.ndarray, done: np.ndarray, out: Any, keep_nodes: bool) -> RodFrames:
         """What the touches of ``plant`` have given, of which ``done`` frames are kept."""
@@ -188,7 +159,7 @@ class RodSolver:
             values[~solved] = np.nan
         root, root_moment = reaction[..., :3], reaction[..., 3:]
         # the load on the clamped node bends nothing
-        weight = np.stack([self.models[p].weight[1:].sum(axis=0) for p in plant])
+        weight = np.stack([self.models[p].arrays["load"][1:].sum(axis=0) for p in plant])
         whole = force.sum(axis=2)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
         return RodFrames(frames=done, force=force, moment=moment, reaction=root, reaction_moment=root_moment,

@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.spatial.transform import Rotation
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.contact_law import Gap
-from vsfsim.physics.rods.kernels.segment import Blocks, Strain
+from vsfsim.physics.rods.kernels.segment import Strain
 from vsfsim.physics.rods.model import RodModel, RodOptions
 
-_KINDS: dict[str, Any] = {"Gap": Gap, "Strain": Strain, "Blocks": Blocks}
+_KINDS: dict[str, Any] = {"Gap": Gap, "Strain": Strain}
 """The structs that are types of others' fields."""
 
 
@@ -53,7 +52,7 @@ def allocate(kind: Any, *, any_size: str = "", **sizes: int) -> Any:
     for field, variable in (kind.vars.items() if hasattr(kind, "shapes") else ()):
         letters = kind.shapes.get(field, "")
         if isinstance(variable.type, wp.array):
-            shape = tuple(2 if letter == "2" else sizes[letter] for letter in letters.replace("?", any_size))
+            shape = tuple(int(sizes.get(letter, letter)) for letter in letters.replace("?", any_size))
             setattr(out, field, wp.zeros(shape, dtype=variable.type.dtype))
         elif letters != "-":
             setattr(out, field, allocate(variable.type, any_size=letters, **sizes))
@@ -172,16 +171,14 @@ Segments = struct(
 
 # The linear system of a Newton step, in 6-vectors and 6 x 6 blocks of (position, spin) at the nodes [N, N m, m, rad]. A
 # segment contributes to two nodes, the child, which has its number, and that node's parent. `gradient` is first the
-# segment's at its child, then the node's; `hessian` is first of the elastic energy, then with the contacts.
+# segment's at its child, then the node's; `blocks` are first of the elastic energy, then with the contacts, and the
+# first of them is in the end the node's, with what its children's segments add.
 System = struct(
     "System",
     gradient="spatial_vectord BN  of the potential",
     gradient_parent="spatial_vectord BN  of the segment's potential at its parent",
-    hessian="Blocks BN  second derivative of the segment's potential",
-    diagonal="spatial_matrixd BN  diagonal block of the system",
-    child_parent="spatial_matrixd BN  rows of the node and columns of its parent",
-    parent_child="spatial_matrixd BN  rows of the parent, columns of the node (if unsymmetric)",
-    eliminated_coupling="spatial_matrixd BN  inverse diagonal block times `child_parent`, eliminated",
+    blocks="spatial_matrixd BN4  second derivative of the segment's potential, see `kernels.elimination.CHILD`",
+    eliminated_coupling="spatial_matrixd BN  inverse diagonal block times that of child and parent, eliminated",
     eliminated_gradient="spatial_vectord BN  inverse diagonal block times minus `gradient`, eliminated",
     step="spatial_vectord BN  the Newton step: displacement and spin")
 
@@ -261,23 +258,13 @@ Thread = struct(
 
 def make_trees(m: Sequence[RodModel], device: str) -> Any:
     """The plants on a device."""
-    total = np.cumsum([0, *(len(x.plant.nodes) for x in m)])
-    fibres = np.cumsum([0, *(len(x.radius) for x in m)])
-    children, ranks = [_children(x) for x in m], [levels_of(x) for x in m]
-    each = {
-        "parent": [x.plant.parent for x in m], "rest": [x.plant.nodes for x in m],
-        "frame": [quaternions(x.frame) for x in m], "length": [x.plant.lengths() for x in m],
-        "kd": [x.kd for x in m], "kphi": [x.kphi for x in m], "wire": [x.wire for x in m],
-        "load": [x.weight for x in m], "reach": [x.reach for x in m],
-        "bound": [x.plant.radius + x.plant.half_width for x in m],
-        "fibre": [*(x.first[:-1] + f for x, f in zip(m, fibres)), fibres[-1:]],
-        "child": [child for child, _ in children], "next": [sibling for _, sibling in children],
-        "rank": [rank for rank, _ in ranks], "level": [level + o for (_, level), o in zip(ranks, total)],
-        "offset": [x.offset for x in m], "radius": [x.radius for x in m], "tip": [x.tip.astype(np.int32) for x in m],
-        "softness": [np.cbrt(1.0 / x.penalty) for x in m]}
+    each = {name: [x.arrays[name] for x in m] for name in m[0].arrays}
+    total, fibres, levels = (np.cumsum([0, *map(len, each[name])]) for name in ("parent", "radius", "level"))
+    each["fibre"] = [*(first + f for first, f in zip(each["fibre"], fibres)), fibres[-1:]]
+    each["level"] = [level + o for level, o in zip(each["level"], total)]
+    each["softness"] = [np.cbrt(1.0 / x.penalty) for x in m]
     with wp.ScopedDevice(device):
-        return filled(Trees, first=total, levels=np.cumsum([0, *(len(level) for _, level in ranks)]),
-                      floor=np.array([x.floor() for x in m]),
+        return filled(Trees, first=total, levels=levels, floor=np.array([x.floor() for x in m]),
                       **{name: np.concatenate(values) for name, values in each.items()})
 
 
@@ -291,30 +278,3 @@ def started(models: Sequence[RodModel], **sizes: Any) -> Any:
     work.now.x.assign(rest)
     work.now.q.assign(np.tile([0.0, 0.0, 0.0, 1.0], (*rest.shape[:2], 1)))
     return work
-
-
-def _children(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
-    """The child of each node with the highest number, and the sibling with the next lower one (n,); -1 for none."""
-    parent = model.plant.parent
-    child, sibling = np.full(len(parent), -1), np.full(len(parent), -1)
-    for i in range(1, len(parent)):
-        sibling[i] = child[parent[i]]
-        child[parent[i]] = i
-    return child, sibling
-
-
-def levels_of(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
-    """The nodes sorted by level, their number of segments from the root (n,), and the first place of each level and the
-    end (levels + 1,)."""
-    parent = model.plant.parent
-    depth = np.zeros(len(parent), int)
-    for i in range(1, len(parent)):
-        depth[i] = depth[parent[i]] + 1
-    rank = np.argsort(depth, kind="stable")
-    return rank, np.searchsorted(depth[rank], np.arange(depth.max() + 2))
-
-
-def quaternions(rotation: np.ndarray) -> np.ndarray:
-    """x y z w (..., 4) of rotations (..., 3, 3)."""
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
-    return flat.reshape(*rotation.shape[:-2], 4)

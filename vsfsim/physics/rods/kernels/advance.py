@@ -8,23 +8,13 @@ end. On a GPU one warp works on a touch, see `lanes`. A touch ends before the fr
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.rods.kernels import fibre, segment
 from vsfsim.physics.rods.kernels.contact_search import carry_unloaded, copy_state
 from vsfsim.physics.rods.kernels.crossing import crossing
-from vsfsim.physics.rods.kernels.fibre import POINTS, end_force, fibre_patch, pressed, rubbed, segment_strain
+from vsfsim.physics.rods.kernels.fibre import POINTS
 from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync
 from vsfsim.physics.rods.kernels.newton import equilibrate
-from vsfsim.physics.rods.kernels.segment import (
-    ONE,
-    ZERO,
-    elastic_share,
-    energy,
-    gradient,
-    moment,
-    plastic_bending,
-    real,
-    spatial,
-    vec3,
-)
+from vsfsim.physics.rods.kernels.segment import ONE, ZERO, real, vec3
 from vsfsim.physics.rods.structs import Frame, Results, Stick, Thread, Touches, Trees, Work
 from vsfsim.physics.solve.frames import Reason
 
@@ -86,14 +76,14 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
     loaded = int(0)  # whether a point presses or a wire has yielded
     for c in range(me.lane, w.count[side, b], me.lanes):
         at = w.contacts[side, b, c]
-        at = pressed(tree, touch, me, at, w.now, w.capsules)
+        at = fibre.pressed(tree, touch, me, at, w.now, w.capsules)
         at.memory.stuck = int(Stick.FREE)
         at.memory.stretch = vec3()
         if at.gap.value < ZERO:
             loaded = 1
             at.memory.stuck = int(Stick.STUCK)
             if at.friction_limit > ZERO:
-                at = rubbed(tree, w, me, at, w.now)
+                at = fibre.rubbed(tree, w, me, at, w.now)
                 at.memory.stretch = wp.quat_rotate_inv(w.capsules.q[b, at.capsule], at.friction_gradient / at.stiffness)
         w.contacts[side, b, c].memory = at.memory
     if found == 1:
@@ -101,9 +91,9 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
             i = w.nodes.order[b, a]
             wire = tree.wire[o + i]
             if wire[1] > ZERO:
-                strains = segment_strain(tree, me, i, w.now)
-                _phi, e = plastic_bending(strains.phi, w.nodes.plastic[b, i])
-                lost = ONE - elastic_share(e, wire)
+                strains = fibre.segment_strain(tree, me, i, w.now)
+                _phi, e = segment.plastic_bending(strains.phi, w.nodes.plastic[b, i])
+                lost = ONE - segment.elastic_share(e, wire)
                 w.nodes.plastic[b, i] = w.nodes.plastic[b, i] + lost * e
                 w.nodes.heat[b, i] = w.nodes.heat[b, i] + wire[1] * lost * wp.length(e)
                 if wp.length_sq(w.nodes.plastic[b, i]) > ZERO:
@@ -120,7 +110,7 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
         through = int(0)
         for pair in range(me.lane, w.count[side, b] / POINTS, me.lanes):
             at = w.contacts[side, b, POINTS * pair]
-            patch = fibre_patch(tree, touch, me, at.node, at.fibre, at.capsule, w.now, w.capsules)
+            patch = fibre.fibre_patch(tree, touch, me, at.node, at.fibre, at.capsule, w.now, w.capsules)
             if patch.gap < ZERO:
                 through = 1
         if lane_count(through) > 0 or crossing(
@@ -150,36 +140,36 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
         at = w.contacts[side, b, c]
         cx = w.capsules.x[b, at.capsule]
         if c % POINTS == 0:
-            patch = fibre_patch(tree, touch, me, at.node, at.fibre, at.capsule, w.now, w.capsules)
+            patch = fibre.fibre_patch(tree, touch, me, at.node, at.fibre, at.capsule, w.now, w.capsules)
             thick = touch.radius[at.capsule] + tree.radius[at.fibre]
             frame.penetration = wp.max(frame.penetration, -patch.gap)
             sunk = wp.max(sunk, -patch.gap / wp.min(DEEP, DEEP_SHARE * thick))
             if patch.gap < ZERO:
                 frame.contacts = frame.contacts + 1
-        at = pressed(tree, touch, me, at, w.now, w.capsules)
+        at = fibre.pressed(tree, touch, me, at, w.now, w.capsules)
         at.force = vec3()
         at.moment = vec3()
         if at.gap.value < ZERO:
             if at.friction_limit > ZERO:
-                at = rubbed(tree, w, me, at, w.now)
+                at = fibre.rubbed(tree, w, me, at, w.now)
             at.force = at.normal_gradient + at.friction_gradient
             at.moment = (wp.cross(at.point - cx, at.normal_gradient) + wp.cross(at.surface - cx, at.friction_gradient))
             if tree.parent[o + at.node] == 0:
-                root = root + end_force(at, at.parent)  # what the clamp bears without bending anything
+                root = root + fibre.end_force(at, at.parent)  # what the clamp bears without bending anything
             total = total + wp.length(at.force)
         w.contacts[side, b, c].force = at.force
         w.contacts[side, b, c].moment = at.moment
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        strains = segment_strain(tree, me, i, w.now)
+        strains = fibre.segment_strain(tree, me, i, w.now)
         plastic = w.nodes.plastic[b, i]
-        stored = energy(strains, tree.kd[o + i], tree.kphi[o + i], tree.wire[o + i], plastic)
+        stored = segment.energy(strains, tree.kd[o + i], tree.kphi[o + i], tree.wire[o + i], plastic)
         frame.energy = frame.energy + stored
         frame.heat = frame.heat + w.nodes.heat[b, i]
         if tree.parent[o + i] == 0:
-            mu = moment(strains, tree.kphi[o + i], tree.wire[o + i], plastic)
-            f, _mc, mp = gradient(strains, tree.kd[o + i], mu)
-            root = root + spatial(-f, mp)
+            mu = segment.moment(strains, tree.kphi[o + i], tree.wire[o + i], plastic)
+            f, _mc, mp = segment.gradient(strains, tree.kd[o + i], mu)
+            root = root + segment.spatial(-f, mp)
     sync()
     for k in range(me.lane, touch.half.shape[0], me.lanes):
         force = vec3()

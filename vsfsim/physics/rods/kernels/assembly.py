@@ -7,45 +7,13 @@ add to the same number.
 import warp as wp
 
 from vsfsim.physics.contact import friction
-from vsfsim.physics.rods.kernels.contact_law import (
-    capsule_gap,
-    friction_hessian,
-    normal_energy,
-    normal_force,
-    normal_hessian,
-    normal_stiffness,
-    plus_point,
-    plus_spin,
-    turn_hessian,
-)
-from vsfsim.physics.rods.kernels.fibre import (
-    POINTS,
-    end_force,
-    fibre_patch,
-    material_point,
-    point_place,
-    point_stiffness,
-    pressed,
-    rubbed,
-    segment_strain,
-    surface_point,
-)
+from vsfsim.physics.rods.kernels import contact_law, fibre, segment
+from vsfsim.physics.rods.kernels.contact_law import plus_point, plus_spin
+from vsfsim.physics.rods.kernels.elimination import CHILD, CHILD_PARENT, PARENT, PARENT_CHILD
+from vsfsim.physics.rods.kernels.fibre import POINTS
 from vsfsim.physics.rods.kernels.lanes import lane_count, lane_sum, sync
-from vsfsim.physics.rods.kernels.segment import (
-    TINY,
-    ZERO,
-    gradient,
-    hessian,
-    mat66,
-    moment,
-    moment_tangent,
-    real,
-    spatial,
-)
+from vsfsim.physics.rods.kernels.segment import TINY, ZERO, real
 from vsfsim.physics.rods.structs import Contact, State, Stick, Thread, Touches, Trees, Work
-
-# the blocks of a segment, by the nodes of their rows and columns
-CHILD, PARENT, CHILD_PARENT, PARENT_CHILD = (wp.constant(k) for k in range(4))
 
 
 @wp.func
@@ -61,27 +29,27 @@ def update_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, side: int)
         cq = w.capsules.q[b, k]
         cx0 = w.capsules_start.x[b, k]
         cq0 = w.capsules_start.q[b, k]
-        patch = fibre_patch(tree, touch, me, first.node, first.fibre, k, w.now, w.capsules)
+        patch = fibre.fibre_patch(tree, touch, me, first.node, first.fibre, k, w.now, w.capsules)
         for n in range(POINTS):
             at = w.contacts[side, b, POINTS * pair + n]
-            at.place = point_place(patch, n)
-            at.stiffness = point_stiffness(tree, me, at, patch, n)
-            at = pressed(tree, touch, me, at, w.now, w.capsules)
-            force = normal_force(wp.max(-at.gap.value, ZERO), at.stiffness)
+            at.place = fibre.point_place(patch, n)
+            at.stiffness = fibre.point_stiffness(tree, me, at, patch, n)
+            at = fibre.pressed(tree, touch, me, at, w.now, w.capsules)
+            force = contact_law.normal_force(wp.max(-at.gap.value, ZERO), at.stiffness)
             at.friction_limit = touch.friction[b] * force
             total = total + force
             if at.friction_limit > ZERO:
-                y0, _arm_p, _arm_c = material_point(tree, me, at.node, at.fibre, at.place, w.start)
-                begun = capsule_gap(y0, tree.radius[at.fibre], cx0, cq0, touch.half[k], touch.radius[k])
+                y0, _arm_p, _arm_c = fibre.material_point(tree, me, at.node, at.fibre, at.place, w.start)
+                begun = contact_law.capsule_gap(y0, tree.radius[at.fibre], cx0, cq0, touch.half[k], touch.radius[k])
                 at.lever = -tree.radius[at.fibre] * begun.normal
                 met = wp.quat_rotate_inv(cq0, y0 + at.lever - cx0)
                 if at.memory.stuck == Stick.FREE:
-                    ys, _surface_p, _surface_c = surface_point(tree, w, me, at, w.now)
+                    ys, _surface_p, _surface_c = fibre.surface_point(tree, w, me, at, w.now)
                     free = at.gap_start / wp.max(at.gap_start - patch.gap, TINY)
                     at.memory.stretch = free * (met - wp.quat_rotate_inv(cq, ys - cx))
                     at.memory.stuck = int(Stick.NEW)
                 at.anchor = cx + wp.quat_rotate(cq, met - at.memory.stretch)
-                at = rubbed(tree, w, me, at, w.now)
+                at = fibre.rubbed(tree, w, me, at, w.now)
             elif at.memory.stuck == Stick.NEW:
                 at.memory.stuck = int(Stick.FREE)  # it lost contact again within the stride
             w.contacts[side, b, POINTS * pair + n] = at
@@ -97,17 +65,17 @@ def contact_energy(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, 
     out = ZERO
     for pair in range(me.lane, w.count[side, b] / POINTS, me.lanes):
         first = w.contacts[side, b, POINTS * pair]
-        patch = fibre_patch(tree, touch, me, first.node, first.fibre, first.capsule, now, w.capsules)
+        patch = fibre.fibre_patch(tree, touch, me, first.node, first.fibre, first.capsule, now, w.capsules)
         for n in range(POINTS):
             at = w.contacts[side, b, POINTS * pair + n]
             if patch.gap < ZERO:
                 there = at
-                there.place = point_place(patch, n)
-                there.stiffness = point_stiffness(tree, me, there, patch, n)
-                there = pressed(tree, touch, me, there, now, w.capsules)
-                out = out + normal_energy(wp.max(-there.gap.value, ZERO), there.stiffness)
+                there.place = fibre.point_place(patch, n)
+                there.stiffness = fibre.point_stiffness(tree, me, there, patch, n)
+                there = fibre.pressed(tree, touch, me, there, now, w.capsules)
+                out = out + contact_law.normal_energy(wp.max(-there.gap.value, ZERO), there.stiffness)
             if at.friction_limit > ZERO:
-                rubbing = rubbed(tree, w, me, at, now)
+                rubbing = fibre.rubbed(tree, w, me, at, now)
                 out = out + friction.energy(wp.length(rubbing.slip), at.stiffness, at.friction_limit)
     return out
 
@@ -126,21 +94,25 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
     slipping = int(0)
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        s = segment_strain(tree, me, i, w.now)
+        s = fibre.segment_strain(tree, me, i, w.now)
         kphi = tree.kphi[o + i]
         wire = tree.wire[o + i]
-        mu = moment(s, kphi, wire, w.nodes.plastic[b, i])
-        f, mc, mp = gradient(s, tree.kd[o + i], mu)
+        mu = segment.moment(s, kphi, wire, w.nodes.plastic[b, i])
+        f, mc, mp = segment.gradient(s, tree.kd[o + i], mu)
         w.segments.strain[b, i] = s
-        bend = moment_tangent(s, kphi, wire, w.nodes.plastic[b, i])
-        w.system.hessian[b, i] = hessian(s, tree.kd[o + i], mu, bend, geometric)
-        on = spatial(f - tree.load[o + i], mc)
-        up = spatial(-f, mp)
+        bend = segment.moment_tangent(s, kphi, wire, w.nodes.plastic[b, i])
+        by_child, by_parent, mixed = segment.hessian(s, tree.kd[o + i], mu, bend, geometric)
+        w.system.blocks[b, i, CHILD] = by_child
+        w.system.blocks[b, i, PARENT] = by_parent
+        w.system.blocks[b, i, CHILD_PARENT] = mixed
+        w.system.blocks[b, i, PARENT_CHILD] = wp.transpose(mixed)
+        on = segment.spatial(f - tree.load[o + i], mc)
+        up = segment.spatial(-f, mp)
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             at = w.contacts[side, b, c]
             if at.gap.value < ZERO:
-                up = up + end_force(at, at.parent)
-                on = on + end_force(at, at.child)
+                up = up + fibre.end_force(at, at.parent)
+                on = on + fibre.end_force(at, at.child)
                 if slips(at):
                     slipping = slipping + 1
         w.system.gradient[b, i] = on
@@ -162,7 +134,7 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
 @wp.func
 def coulomb_hessian(at: Contact, mu: real):
     """Derivative of the friction force of a slipping point by its position, through its limit [N/m]."""
-    bend = mu * normal_stiffness(-at.gap.value, at.stiffness) / wp.length(at.slip)
+    bend = mu * contact_law.normal_stiffness(-at.gap.value, at.stiffness) / wp.length(at.slip)
     return -bend * wp.outer(at.slip, at.gap.normal)
 
 
@@ -186,52 +158,34 @@ def assemble_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, 
         block = item % 4
         if w.segments.contact_count[b, i] == 0 or (block == PARENT_CHILD and coulomb == 0):
             continue
-        own = mat66()
-        if block == CHILD:
-            own = w.system.hessian[b, i].child
-        if block == PARENT:
-            own = w.system.hessian[b, i].parent
-        if block == CHILD_PARENT:
-            own = w.system.hessian[b, i].mixed
-        if block == PARENT_CHILD:
-            own = wp.transpose(w.system.hessian[b, i].mixed)
+        own = w.system.blocks[b, i, block]
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             at = w.contacts[side, b, c]
             if at.gap.value < ZERO:
                 row = end_of(at, block == PARENT or block == PARENT_CHILD)
                 column = end_of(at, block == PARENT or block == CHILD_PARENT)
                 share = row.share * column.share
-                own = plus_point(own, normal_hessian(at.gap, at.stiffness, geometric), row.arm, column.arm, share)
+                press = contact_law.normal_hessian(at.gap, at.stiffness, geometric)
+                own = plus_point(own, press, row.arm, column.arm, share)
                 if at.friction_limit > ZERO:
-                    rub = friction_hessian(at.slip, at.gap.normal, at.stiffness, at.friction_limit)
+                    rub = contact_law.friction_hessian(at.slip, at.gap.normal, at.stiffness, at.friction_limit)
                     own = plus_point(own, rub, row.surface, column.surface, share)
                     if coulomb == 1 and slips(at):
                         own = plus_point(own, coulomb_hessian(at, touch.friction[b]), row.surface, column.arm, share)
                 if geometric > ZERO and (block == CHILD or block == PARENT):
-                    own = plus_spin(own, turn_hessian(at.normal_gradient, row.arm), row.share)
-                    own = plus_spin(own, turn_hessian(at.friction_gradient, row.surface), row.share)
-        if block == CHILD:
-            w.system.hessian[b, i].child = own
-        if block == PARENT:
-            w.system.hessian[b, i].parent = own
-        if block == CHILD_PARENT:
-            w.system.child_parent[b, i] = own
-        if block == PARENT_CHILD:
-            w.system.parent_child[b, i] = own
+                    own = plus_spin(own, contact_law.turn_hessian(at.normal_gradient, row.arm), row.share)
+                    own = plus_spin(own, contact_law.turn_hessian(at.friction_gradient, row.surface), row.share)
+        w.system.blocks[b, i, block] = own
     sync()
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        diagonal = w.system.hessian[b, i].child
-        if w.segments.contact_count[b, i] == 0:
-            w.system.child_parent[b, i] = w.system.hessian[b, i].mixed
-            if coulomb == 1:
-                w.system.parent_child[b, i] = wp.transpose(w.system.hessian[b, i].mixed)
+        diagonal = w.system.blocks[b, i, CHILD]
         kid = tree.child[o + i]
         while kid >= 0:
             if w.nodes.active[b, kid] == 1:
-                diagonal = diagonal + w.system.hessian[b, kid].parent
+                diagonal = diagonal + w.system.blocks[b, kid, PARENT]
             kid = tree.next[o + kid]
-        w.system.diagonal[b, i] = diagonal
+        w.system.blocks[b, i, CHILD] = diagonal
     sync()
 
 

@@ -14,13 +14,15 @@ from vsfsim.physics.rods.structs import Thread, Trees, Work
 
 vec6 = wp.spatial_vectord
 COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
+# the blocks of a segment, by the nodes of their rows and columns; the solution reads the last one if unsymmetric
+CHILD, PARENT, CHILD_PARENT, PARENT_CHILD = (wp.constant(k) for k in range(4))
 
 
 @wp.func_native(snippet="""
     double d[6][6], v[6], own[6];
     auto exchange = [](double& one, double& other) { const double kept = one; one = other; other = kept; };
     {
-        auto& block = *wp::address(diagonal, b, i);
+        auto& block = *wp::address(blocks, b, i, 0);
         auto& g = *wp::address(gradient, b, i);
         for (int r = 0; r < 6; ++r) {
             v[r] = -g[r];
@@ -34,7 +36,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
             continue;
         auto& y = *wp::address(passed, b, kid);
         auto& t = *wp::address(held, b, kid);
-        auto& pair = *wp::address(symmetric ? coupling : across, b, kid);
+        auto& pair = *wp::address(blocks, b, kid, symmetric ? 2 : 3);
         for (int r = 0; r < 6; ++r)
             for (int m = 0; m < 6; ++m) {
                 const double f = symmetric ? pair.data[m][r] : pair.data[r][m];
@@ -50,7 +52,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
     constexpr int wide = 7;
 #endif
     double z[6][wide];
-    auto& pair = *wp::address(coupling, b, i);
+    auto& pair = *wp::address(blocks, b, i, 2);
     for (int r = 0; r < 6; ++r)
         for (int c = 0; c < wide; ++c)
             z[r][c] = column + c < 6 ? pair.data[r][column + c] : v[r];
@@ -109,8 +111,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
     return fine;
 """)
 def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32),
-              diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
-              across: wp.array2d(dtype=mat66), gradient: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66),
+              blocks: wp.array3d(dtype=mat66), gradient: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66),
               held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
     """Eliminates node ``i``, whose children are eliminated already: applies the inverse of its block to the column.
 
@@ -148,22 +149,18 @@ def solve(tree: Trees, w: Work, me: Thread, levels: int, coulomb: int):
         1, or 0 where the tangent is not positive definite, or with ``coulomb`` (the unsymmetric system) singular.
     """
     b = me.b
-    column = int(0)
-    begin = int(0)
-    by = int(1)
-    if me.lanes > 1:
-        column = me.lane % COLUMNS
-        begin = me.lane / COLUMNS
-        by = me.lanes / COLUMNS
+    column = me.lane % COLUMNS
+    begin = me.lane / COLUMNS
+    by = wp.max(me.lanes / COLUMNS, 1)
     lost = int(0)
     for back in range(1, levels):
         d = levels - back
         if column < COLUMNS - 1:
             for a in range(w.nodes.level[b, d] + begin, w.nodes.level[b, d + 1], by):
                 i = w.nodes.order[b, a]
-                fine = eliminate(tree.child, tree.next, w.nodes.active, w.system.diagonal, w.system.child_parent,
-                                 w.system.parent_child, w.system.gradient, w.system.eliminated_coupling,
-                                 w.system.eliminated_gradient, b, me.o, i, column, 1 - coulomb)
+                fine = eliminate(tree.child, tree.next, w.nodes.active, w.system.blocks, w.system.gradient,
+                                 w.system.eliminated_coupling, w.system.eliminated_gradient, b, me.o, i, column,
+                                 1 - coulomb)
                 if fine == 0:
                     lost = lost + 1
         sync()

@@ -2,13 +2,7 @@
 
 import warp as wp
 
-from vsfsim.physics.rods.kernels.assembly import (
-    assemble,
-    assemble_step,
-    contact_energy,
-    unbalanced_force,
-    update_contacts,
-)
+from vsfsim.physics.rods.kernels import assembly
 from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unloaded, copy_state, list_contacts
 from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.elimination import solve
@@ -47,9 +41,13 @@ def rotated(q: quat, spin: vec3):
 
 
 @wp.func
-def span_rates(tree: Trees, w: Work, me: Thread, count: int):
-    """Sets D' of each segment along the step, see `segment`."""
+def look_along(tree: Trees, w: Work, me: Thread, count: int):
+    """Sets D' of each segment along the step, see `segment`. Returns the slope of the potential along the step [J], the
+    largest displacement of a node, or of what it carries, over its clearance [-], and the largest rotation [rad]."""
     b = me.b
+    slope = ZERO
+    way = ZERO
+    turn = ZERO
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
         s = w.system.step[b, i]
@@ -60,25 +58,12 @@ def span_rates(tree: Trees, w: Work, me: Thread, count: int):
         spin = HALF * (on_p + on_c) - HALF * wp.cross(at.g, on_c - on_p)
         apart = wp.quat_rotate_inv(at.turn, wp.spatial_top(s) - wp.spatial_top(up))
         w.segments.span_rate[b, i] = apart - wp.cross(spin, at.D)
-    sync()
-
-
-@wp.func
-def step_extent(w: Work, me: Thread, count: int):
-    """Slope of the potential along the step [J], the largest displacement of a node, or of what it carries, over its
-    clearance [-], and the largest rotation [rad]."""
-    b = me.b
-    slope = ZERO
-    way = ZERO
-    turn = ZERO
-    for a in range(1 + me.lane, count, me.lanes):
-        i = w.nodes.order[b, a]
-        s = w.system.step[b, i]
         slope = slope + wp.dot(w.system.gradient[b, i], s)
         angle = wp.length(wp.spatial_bottom(s))
         turn = wp.max(turn, angle)
         farthest = wp.length(wp.spatial_top(s)) + angle * w.nodes.unloaded_reach[b, i]
         way = wp.max(way, farthest / wp.max(MARGIN, w.nodes.node_clearance[b, i]))
+    sync()
     return lane_sum(slope), lane_max(way), lane_max(turn)
 
 
@@ -176,9 +161,9 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if count == 1:
                 reason = Reason.NONE
                 break
-        force = update_contacts(tree, touch, w, me, new) + load
-        slips = assemble(tree, w, me, count, new, geometric)
-        rest = unbalanced_force(tree, w, me, count)
+        force = assembly.update_contacts(tree, touch, w, me, new) + load
+        slips = assembly.assemble(tree, w, me, count, new, geometric)
+        rest = assembly.unbalanced_force(tree, w, me, count)
         if tried == 1 and not rest < (ONE - SHRINK) * before:
             # the residual norm has not decreased enough: return to the state before, and take the symmetric tangent
             copy_state(w, me, count, w.saved, w.now)
@@ -205,11 +190,10 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
         coulomb = int(0)
         if plain == 0 and (slips > 0 or (small > 0 and residual < TRUSTED)):
             coulomb = 1
-        assemble_step(tree, touch, w, me, count, new, geometric, coulomb)
+        assembly.assemble_step(tree, touch, w, me, count, new, geometric, coulomb)
         fine = solve(tree, w, me, levels, coulomb)
         if fine == 1:
-            span_rates(tree, w, me, count)
-            slope, way, turn = step_extent(w, me, count)
+            slope, way, turn = look_along(tree, w, me, count)
         if coulomb == 1:
             if fine == 1 and wp.isfinite(slope) and moved + way < ONE and way < MOVE and turn < TURN:
                 before = rest
@@ -248,7 +232,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if tried == 1:
                 through = trial_crossing(tree, touch, w, me, count)
                 break
-            there = lane_sum(there + contact_energy(tree, touch, w, me, new, w.trial))
+            there = lane_sum(there + assembly.contact_energy(tree, touch, w, me, new, w.trial))
             if trial == 0:
                 start = there
             else:

@@ -73,18 +73,6 @@ class Strain:
     """c = |psi| / sin |psi| [-]."""
 
 
-@wp.struct
-class Blocks:
-    """Second derivative of a segment, 6 x 6 blocks in (position, spin) of the parent's node and of the child's."""
-
-    parent: wp.spatial_matrixd
-    """By the parent's node."""
-    child: wp.spatial_matrixd
-    """By the child's node."""
-    mixed: wp.spatial_matrixd
-    """Rows of the child, columns of the parent."""
-
-
 @wp.func(inline=False)
 def strain(xp: vec3, qp: quat, xc: vec3, qc: quat, frame: quat, length: real):
     s = Strain()
@@ -214,8 +202,9 @@ def spatial(force: vec3, moment: vec3):
 
 @wp.func(inline=False)
 def hessian(s: Strain, kd: vec3, mu: vec3, stiffness: mat33, geometric: real):
-    """The second derivative; with ``geometric`` 0 without the geometric stiffness, which makes it positive
-    semidefinite. ``mu`` is the moment and ``stiffness`` its derivative by phi, Kphi of an elastic segment."""
+    """The second derivative, 6 x 6 blocks in (position, spin): by the child's node, by the parent's, and the rows of
+    the child with the columns of the parent. With ``geometric`` 0 it lacks the geometric stiffness, which makes it
+    positive semidefinite. ``mu`` is the moment and ``stiffness`` its derivative by phi, Kphi of an elastic segment."""
     q = wp.cw_mul(kd, s.d)
     m = wp.cross(q, s.D)
     cmu = times_c(s, mu)
@@ -258,8 +247,5 @@ def hessian(s: Strain, kd: vec3, mu: vec3, stiffness: mat33, geometric: real):
     haa = turn * (aw * wa - ae - wp.transpose(ae) + hee) * back
     hbb = turn * (bw * wb + be + wp.transpose(be) + hee) * back
     hba = turn * (bw * wa - be + wp.transpose(ae) - hee) * back
-    out = Blocks()
-    out.parent = from_blocks(hvv, -hva, -wp.transpose(hva), haa)
-    out.child = from_blocks(hvv, hvb, wp.transpose(hvb), hbb)
-    out.mixed = from_blocks(-hvv, hva, -wp.transpose(hvb), hba)
-    return out
+    return (from_blocks(hvv, hvb, wp.transpose(hvb), hbb), from_blocks(hvv, -hva, -wp.transpose(hva), haa),
+            from_blocks(-hvv, hva, -wp.transpose(hvb), hba))
