@@ -237,10 +237,10 @@ def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd)
     first_out[b, 0] = f
     first_out[b, 1] = mc
     first_out[b, 2] = mp
-    by_child, by_parent, mixed = hessian(s, kd, mu, moment_tangent(s, kphi, wire, left), wp.float64(1.0))
-    second_out[b, 0] = by_parent
+    child, parent, mixed = hessian(s, kd, mu, moment_tangent(s, kphi, wire, left), wp.float64(1.0))
+    second_out[b, 0] = parent
     second_out[b, 1] = mixed
-    second_out[b, 2] = by_child
+    second_out[b, 2] = child
 
 
 from vsfsim.physics.rods.kernels.segment import (  # noqa: E402  compiled at the launch

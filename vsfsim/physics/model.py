@@ -93,29 +93,27 @@ def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: fl
     return (tet10.block(mesh.tets, mesh.gradients, mesh.weights, mu, lam, law=law, settings=settings),)
 
 
-def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool) -> Elements:
-    """Makes the elements of a solid whose regions are of different materials: one block of neo-Hookean tetrahedra, and
-    one block for each foam.
+def regional_tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, _: float, *, region: np.ndarray,
+                        laws: Sequence[Law], foams: bool) -> tuple[Block, ...]:
+    """The elements of a solid whose regions are of different materials: one block of neo-Hookean tetrahedra, and one
+    block for each foam.
 
     Args:
+        mesh, young_modulus: as of `tetrahedra`; Poisson's ratio is that of each law.
         region: of each tetrahedron (m,), an index into ``laws``.
         laws: of each region.
         foams: whether foams follow their own law; otherwise they are neo-Hookean with the foam's Poisson's ratio.
     """
-    def make(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
-        ratio = np.array([law.poisson_ratio if law.foam is None else law.foam.poisson_ratio for law in laws])
-        foam_of = [law.foam if foams else None for law in laws]
-        blocks = []
-        for foam in dict.fromkeys(foam_of):
-            at = np.flatnonzero(np.isin(region, [r for r, own in enumerate(foam_of) if own == foam]))
-            if not len(at):
-                continue
+    ratio = np.array([law.poisson_ratio if law.foam is None else law.foam.poisson_ratio for law in laws])
+    foam_of = [law.foam if foams else None for law in laws]
+    blocks = []
+    for foam in dict.fromkeys(foam_of):
+        at = np.flatnonzero(np.isin(region, [r for r, own in enumerate(foam_of) if own == foam]))
+        if len(at):
             shape, e = (mesh.tets[at], mesh.gradients[at], mesh.weights[at]), young_modulus[at]
             own = {} if foam is None else {"law": hyperfoam.LAW, "settings": hyperfoam.settings_of(foam)}
             blocks.append(tet10.block(*shape, *lame(e, ratio[region[at]][:, None]), **own))
-        return tuple(blocks)
-
-    return make
+    return tuple(blocks)
 
 
 def gravity_load(mesh: QuadraticMesh, density: float | np.ndarray, gravity: np.ndarray) -> np.ndarray:

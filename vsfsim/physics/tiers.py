@@ -239,7 +239,7 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
     if solid.laws is not None:
         region = np.asarray(solid.region)
         density = np.array([law.density for law in solid.laws])[region]
-        elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
+        elements = functools.partial(regional_tetrahedra, region=region, laws=solid.laws, foams=TIERS[tier].nonlinear)
     law = law_of(scene)
     if law is not None and TIERS[tier].nonlinear and solid.laws is None:
         elements = functools.partial(tetrahedra, law=law[0], settings=law[1])

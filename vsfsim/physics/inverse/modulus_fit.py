@@ -108,13 +108,11 @@ def press(model: Model, presses: Sequence[Press], options: SolverOptions, near: 
 
 def _alike(presses: Sequence[Press]) -> list[list[int]]:
     """Numbers of presses by one body on one spring in as many frames, `_TOGETHER` at most."""
-    kinds = [(len(one.poses), one.shape, None if one.mount_stiffness is None else float(one.mount_stiffness))
-             for one in presses]
-    out = []
-    for kind in dict.fromkeys(kinds):
-        mine = [k for k, own in enumerate(kinds) if own == kind]
-        out += [mine[k:k + _TOGETHER] for k in range(0, len(mine), _TOGETHER)]
-    return out
+    kinds: dict[tuple, list[int]] = {}
+    for k, one in enumerate(presses):
+        spring = None if one.mount_stiffness is None else float(one.mount_stiffness)
+        kinds.setdefault((len(one.poses), one.shape, spring), []).append(k)
+    return [mine[k:k + _TOGETHER] for mine in kinds.values() for k in range(0, len(mine), _TOGETHER)]
 
 
 def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: Sequence[Press],

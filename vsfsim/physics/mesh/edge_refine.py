@@ -122,9 +122,7 @@ def _divide(solid: Solid, near: cKDTree, size: np.ndarray, most: int) -> Solid:
 
 def _edges(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ends of all edges (e, 2), the edges of each tetrahedron (m, 6), and the rank of each edge by its length (e,)."""
-    both = np.sort(tets[:, _PAIRS], axis=2).reshape(-1, 2)
-    key, edge = np.unique(both[:, 0] * np.int64(len(vertices)) + both[:, 1], return_inverse=True)
-    ends = np.stack([key // len(vertices), key % len(vertices)], axis=1)
+    ends, edge = np.unique(np.sort(tets[:, _PAIRS], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
     length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
     # Equal lengths tie by the distances of their middles from the middle of the box, so that the mesh of a box stays
     # its own mirror image; rounded, so that they do so on every machine.

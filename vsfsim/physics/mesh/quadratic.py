@@ -8,17 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
+from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
 from vsfsim.core.system.exact import inverse3
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, jacobians, shape_derivatives, shape_gradients
-
-# The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
-_EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
-FACE_NODES = np.array([
-    [*map(int, f), _EDGE_OF[frozenset(map(int, f[[0, 1]]))], _EDGE_OF[frozenset(map(int, f[[1, 2]]))],
-     _EDGE_OF[frozenset(map(int, f[[2, 0]]))]] for f in TET_FACES
-])
 
 ON_FACE = [0, 1, 2, 4, 5, 6]
 """Nodes of a tetrahedron on the face of its first three corners: these, then the edges between them."""
@@ -126,11 +119,11 @@ def quadratic_mesh(solid: Solid) -> QuadraticMesh:
         bent[inverse.reshape(len(tets), 6)[folded]] = 0.0  # straight edges never fold
     jacobian, determinant = jacobians(points[tets10], GAUSS)
     faces, owner = boundary_faces(tets)
-    # which face of its owner each boundary triangle is: the corner of the owner that it does not have
-    opposite = np.argmin((tets[owner][:, :, None] == faces[:, None]).any(axis=2), axis=1)
-    faces6 = np.take_along_axis(tets10[owner], FACE_NODES[opposite], axis=1)
+    # an edge is found by a number that grows in the order of `edges`
+    number, sides = np.array([len(corners), 1]), np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
+    between = len(corners) + np.searchsorted(edges @ number, np.sort(sides, axis=2) @ number)
     return QuadraticMesh(points, tets10.astype(np.int32), np.swapaxes(inverse3(jacobian), 2, 3),
-                         determinant / 24.0, faces6.astype(np.int32), owner)
+                         determinant / 24.0, np.hstack([faces, between]).astype(np.int32), owner)
 
 
 def round_middles(solid: Solid, edges: np.ndarray) -> np.ndarray:

@@ -118,9 +118,10 @@ class RodSolver:
         assert poses.shape[1:] == (b, len(self.shapes), 4, 4) and poses.size and np.isfinite(poses).all()
         assert len(plan) == b and np.isin(plan, np.arange(p)).all() and ((friction >= 0.0) & (friction <= 10.0)).all()
         t, options = plan.shape[1], self.options
-        sizes = {"B": b, "N": max(len(m.plant.nodes) for m in self.models), "T": t, "W": p, "K": len(self.shapes),
+        sizes = {"B": b, "N": max(len(m.plant.nodes) for m in self.models), "T": t, "K": len(self.shapes),
                  "C": options.room, "D": max(len(m.arrays["level"]) for m in self.models) + 1,
                  "V": t if keep_nodes else 0}
+        sizes["M"] = max(sizes["N"], sizes["K"])
         lanes = LANES if wp.get_device(self.device).is_cuda else 1
         with wp.ScopedDevice(self.device):
             limits = structs.Limits()
@@ -132,7 +133,7 @@ class RodSolver:
                 position=np.swapaxes(poses[..., :3, 3], 0, 1),
                 rotation=np.swapaxes(quaternions(poses[..., :3, :3]), 0, 1))
             work = started([self.models[k] for k in plant], **sizes)
-            out = allocate(structs.Results, **(sizes if keep_nodes else {**sizes, "N": 0}))
+            out = allocate(structs.Results, **sizes)
             live, before = np.arange(b), 0
             while len(live):
                 # the touches with most frames to go come first, in case the device cannot hold all of them at once

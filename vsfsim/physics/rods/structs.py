@@ -7,6 +7,7 @@ A row has a field's type, its shape and its meaning. The letters of a shape are 
     S nodes of all plants  N nodes of the largest plant  W poses on the way of a touch
     Q fibres of all plants K capsules                    C places for the contacts of a touch
     L levels of all plants D levels of the deepest plant, and the end
+    V frames with nodes    M nodes of the largest plant, or capsules where there are more of them
 """
 
 import dataclasses
@@ -18,44 +19,36 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.contact_law import Gap
-from vsfsim.physics.rods.kernels.segment import Strain
 from vsfsim.physics.rods.model import RodModel, RodOptions
 
-_KINDS: dict[str, Any] = {"Gap": Gap, "Strain": Strain}
-"""The structs that are types of others' fields."""
+_KINDS: dict[str, Any] = {}
+"""The structs by name, which may be types of others' fields."""
 
 
 def struct(name: str, **rows: Any) -> Any:
     """A Warp struct of the fields ``rows``, "type shape  meaning" or another struct. The type is one of Warp or the
-    name of a struct of this table; of one whose shapes have a "?", such as `State`, the field is one whole, and its
-    shape the letter that "?" stands for."""
+    name of a struct of this table."""
     types, shapes = dict(rows), {}
     for field, row in rows.items():
         if isinstance(row, str):
             dtype, shapes[field], _ = row.split(maxsplit=2)
             types[field] = kind = _KINDS.get(dtype) or getattr(wp, dtype)
-            if shapes[field] != "-" and not _of_any_size(kind):
+            if shapes[field] != "-":
                 types[field] = wp.array(dtype=kind, ndim=len(shapes[field]))
     out = _KINDS[name] = wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__}))
     out.shapes = shapes
     return out
 
 
-def _of_any_size(kind: Any) -> bool:
-    return any("?" in shape for shape in getattr(kind, "shapes", {}).values())
-
-
-def allocate(kind: Any, *, any_size: str = "", **sizes: int) -> Any:
-    """An instance of a struct with its arrays zeroed, of the ``sizes`` that its rows name; "?" is ``any_size``."""
+def allocate(kind: Any, **sizes: int) -> Any:
+    """An instance of a struct with its arrays zeroed, of the ``sizes`` that its rows name."""
     out = kind()
-    for field, variable in (kind.vars.items() if hasattr(kind, "shapes") else ()):
-        letters = kind.shapes.get(field, "")
+    for field, variable in kind.vars.items():
         if isinstance(variable.type, wp.array):
-            shape = tuple(int(sizes.get(letter, letter)) for letter in letters.replace("?", any_size))
+            shape = tuple(int(sizes.get(letter, letter)) for letter in kind.shapes[field])
             setattr(out, field, wp.zeros(shape, dtype=variable.type.dtype))
-        elif letters != "-":
-            setattr(out, field, allocate(variable.type, any_size=letters, **sizes))
+        elif field not in kind.shapes:
+            setattr(out, field, allocate(variable.type, **sizes))
     return out
 
 
@@ -146,8 +139,8 @@ Results = struct(
 # A state of the nodes of each touched plant, or of the capsules.
 State = struct(
     "State",
-    x="vec3d B?  positions [m]",
-    q="quatd B?  rotations, of nodes since rest")
+    x="vec3d BM  positions [m]",
+    q="quatd BM  rotations, of nodes since rest")
 
 # The nodes, and which of them are solved.
 Nodes = struct(
@@ -160,6 +153,18 @@ Nodes = struct(
     unloaded_reach="float64 BN  longest unloaded branch that the node carries rigidly [m]",
     segment_clearance="float64 BN  of the segment, and what it carries rigidly, to capsules [m]",
     node_clearance="float64 BN  least `segment_clearance` of segments that meet at the node [m]")
+
+# Strains of a segment and what follows from them, in the notation of `kernels.segment`.
+Strain = struct(
+    "Strain",
+    turn="quatd -  Rm F, the rotation of the middle frame",
+    d="vec3d -  d, extension and shear [m]",
+    phi="vec3d -  phi, torsion and bending [rad]",
+    D="vec3d -  D = d + L e1 [m]",
+    psi="vec3d -  psi = phi / 2 [rad]",
+    g="vec3d -  g = tau psi [-]",
+    angle="float64 -  |psi| [rad]",
+    c="float64 -  c = |psi| / sin |psi| [-]")
 
 # Kinematics of each segment, and its contacts in the present list.
 Segments = struct(
@@ -181,6 +186,14 @@ System = struct(
     eliminated_coupling="spatial_matrixd BN  inverse diagonal block times that of child and parent, eliminated",
     eliminated_gradient="spatial_vectord BN  inverse diagonal block times minus `gradient`, eliminated",
     step="spatial_vectord BN  the Newton step: displacement and spin")
+
+# Gap between a point of a fibre and a capsule.
+Gap = struct(
+    "Gap",
+    value="float64 -  signed distance, negative inside [m]",
+    normal="vec3d -  unit normal from the capsule to the point, in the world",
+    away="float64 -  distance of the point from the capsule's axis [m]",
+    axis="vec3d -  direction of the capsule's axis; 0 where the nearest point is on a cap")
 
 # What the end of a segment has of a contact.
 End = struct(
@@ -233,12 +246,10 @@ Progress = struct(
 # State and scratch of the touches. Two lists of contacts take turns as that of the last stride and of the present one.
 Work = struct(
     "Work",
-    now="State N  the nodes",
-    start="State N  at the start of the stride",
-    trial="State N  at a trial of the line search",
-    saved="State N  to return to when a step is rejected",
-    capsules="State K  the capsules at the end of the stride",
-    capsules_start="State K  at its start",
+    # the nodes now, at the start of the stride, at a trial of the line search, and where a rejected step returns to
+    now=State, start=State, trial=State, saved=State,
+    # the capsules at the end of the stride and at its start
+    capsules=State, capsules_start=State,
     nodes=Nodes, segments=Segments, system=System,
     contacts="Contact 2BC  the two lists of contacts",
     count="int32 2B  their lengths",
@@ -272,7 +283,7 @@ def started(models: Sequence[RodModel], **sizes: Any) -> Any:
     """The `Work` of touches of the plants ``models`` before their first frame: plants at rest and no contact. ``sizes``
     as of `allocate`."""
     work = allocate(Work, **sizes)
-    rest = np.zeros((len(models), sizes["N"], 3))
+    rest = np.zeros((len(models), sizes["M"], 3))
     for row, model in zip(rest, models):
         row[:len(model.plant.nodes)] = model.plant.nodes
     work.now.x.assign(rest)

@@ -132,20 +132,6 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
 
 
 @wp.func
-def coulomb_hessian(at: Contact, mu: real):
-    """Derivative of the friction force of a slipping point by its position, through its limit [N/m]."""
-    bend = mu * contact_law.normal_stiffness(-at.gap.value, at.stiffness) / wp.length(at.slip)
-    return -bend * wp.outer(at.slip, at.gap.normal)
-
-
-@wp.func
-def end_of(at: Contact, parent: bool):
-    if parent:
-        return at.parent
-    return at.child
-
-
-@wp.func
 def assemble_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side: int, geometric: real,
                   coulomb: int):
     """The matrix of the step, from the elastic energy and the contacts that press. With ``coulomb`` the friction limit
@@ -162,8 +148,8 @@ def assemble_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, 
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             at = w.contacts[side, b, c]
             if at.gap.value < ZERO:
-                row = end_of(at, block == PARENT or block == PARENT_CHILD)
-                column = end_of(at, block == PARENT or block == CHILD_PARENT)
+                row = wp.where(block == PARENT or block == PARENT_CHILD, at.parent, at.child)
+                column = wp.where(block == PARENT or block == CHILD_PARENT, at.parent, at.child)
                 share = row.share * column.share
                 press = contact_law.normal_hessian(at.gap, at.stiffness, geometric)
                 own = plus_point(own, press, row.arm, column.arm, share)
@@ -171,7 +157,10 @@ def assemble_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, 
                     rub = contact_law.friction_hessian(at.slip, at.gap.normal, at.stiffness, at.friction_limit)
                     own = plus_point(own, rub, row.surface, column.surface, share)
                     if coulomb == 1 and slips(at):
-                        own = plus_point(own, coulomb_hessian(at, touch.friction[b]), row.surface, column.arm, share)
+                        # the friction force follows its limit, the normal force
+                        normal = contact_law.normal_stiffness(-at.gap.value, at.stiffness)
+                        bend = touch.friction[b] * normal / wp.length(at.slip)
+                        own = plus_point(own, -bend * wp.outer(at.slip, at.gap.normal), row.surface, column.arm, share)
                 if geometric > ZERO and (block == CHILD or block == PARENT):
                     own = plus_spin(own, contact_law.turn_hessian(at.normal_gradient, row.arm), row.share)
                     own = plus_spin(own, contact_law.turn_hessian(at.friction_gradient, row.surface), row.share)

@@ -22,23 +22,10 @@ import warp as wp
 
 from vsfsim.physics.contact import friction
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
+from vsfsim.physics.rods.structs import Gap
 
 NEAR = wp.constant(wp.float64(1e-12))  # distance from the axis below which the normal is arbitrary [m]
 HARD = wp.constant(wp.float64(1e-3))  # h, the penetration at which the penalty hardens [m]
-
-
-@wp.struct
-class Gap:
-    """Gap between a point of a fibre and a capsule."""
-
-    value: wp.float64
-    """Signed distance, negative inside [m]."""
-    normal: wp.vec3d
-    """Unit normal from the capsule to the point, in the world."""
-    away: wp.float64
-    """Distance of the point from the capsule's axis [m]."""
-    axis: wp.vec3d
-    """Direction of the capsule's axis; 0 where the nearest point is on a cap."""
 
 
 @wp.func

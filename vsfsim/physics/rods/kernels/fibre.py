@@ -20,7 +20,7 @@ import warp as wp
 from vsfsim.physics.contact import friction
 from vsfsim.physics.rods.kernels.contact_law import capsule_gap, normal_force
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, real, spatial, strain, vec3
-from vsfsim.physics.rods.structs import Contact, End, State, Thread, Touches, Trees, Work
+from vsfsim.physics.rods.structs import Contact, End, State, Thread, Touches, Trees, Work, struct
 
 POINTS = wp.constant(3)  # Gauss points of a patch: exact for the energy of a parabola's overlap, of degree 4
 GRID = wp.constant(4)  # intervals of a segment in which its closest point is searched
@@ -31,31 +31,21 @@ CLOSE = wp.constant(wp.float64(1e-10))  # of a place, where a search ends [-]
 CONTACT_LENGTH = wp.constant(wp.float64(0.002))
 
 
-@wp.struct
-class Fibre:
-    """A fibre in the frame of a capsule, y(s) = a + b s + c s^2 + d s^3."""
+# A fibre in the frame of a capsule, y(s) = a + b s + c s^2 + d s^3.
+Fibre = struct(
+    "Fibre",
+    a="vec3d -  coefficient of degree 0 [m]",
+    b="vec3d -  coefficient of degree 1 [m]",
+    c="vec3d -  coefficient of degree 2 [m]",
+    d="vec3d -  coefficient of degree 3 [m]")
 
-    a: wp.vec3d
-    """Coefficient of degree 0 [m]."""
-    b: wp.vec3d
-    """Coefficient of degree 1 [m]."""
-    c: wp.vec3d
-    """Coefficient of degree 2 [m]."""
-    d: wp.vec3d
-    """Coefficient of degree 3 [m]."""
-
-
-@wp.struct
-class Patch:
-    """The part of a fibre that touches a capsule; of an open contact, a part of the length `CONTACT_LENGTH` around its
-    closest point."""
-
-    low: wp.float64
-    """Its first place [-]."""
-    high: wp.float64
-    """Its last place [-]."""
-    gap: wp.float64
-    """Least distance of the fibre's surface from the capsule, negative inside [m]."""
+# The part of a fibre that touches a capsule; of an open contact, a part of the length `CONTACT_LENGTH` around its
+# closest point.
+Patch = struct(
+    "Patch",
+    low="float64 -  its first place [-]",
+    high="float64 -  its last place [-]",
+    gap="float64 -  least distance of the fibre's surface from the capsule, negative inside [m]")
 
 
 @wp.func

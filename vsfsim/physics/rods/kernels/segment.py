@@ -37,6 +37,7 @@ the bits of an elastic one.
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.rods.structs import Strain
 
 mat33 = wp.mat33d
 vec3 = wp.vec3d
@@ -49,28 +50,6 @@ ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 SMALL = wp.constant(wp.float64(0.05))  # angle below which series are used, exact to 1e-12 of the value [rad]
 TINY = wp.constant(wp.float64(1e-12))
-
-
-@wp.struct
-class Strain:
-    """Strains of a segment and what follows from them, in the notation of the module."""
-
-    turn: wp.quatd
-    """Rm F, the rotation of the middle frame."""
-    d: wp.vec3d
-    """d, extension and shear [m]."""
-    phi: wp.vec3d
-    """phi, torsion and bending [rad]."""
-    D: wp.vec3d
-    """D = d + L e1 [m]."""
-    psi: wp.vec3d
-    """psi = phi / 2 [rad]."""
-    g: wp.vec3d
-    """g = tau psi [-]."""
-    angle: wp.float64
-    """|psi| [rad]."""
-    c: wp.float64
-    """c = |psi| / sin |psi| [-]."""
 
 
 @wp.func(inline=False)
