@@ -157,7 +157,7 @@ def depth_at(sensor: BubbleModel, force: float) -> float:
     area, gone = (cut > 0.0).sum(axis=1) * _GRID**2, cut.sum(axis=1) * _GRID**2
     spec, inside = sensor.spec, float(sensor.mesh.volume[0]) + sensor.dead_volume
     squeezed = inside / np.maximum(inside - gone, 1e-3 * inside)
-    pressure = (spec.ambient_pressure + sensor.pressure) * squeezed**spec.gamma - spec.ambient_pressure
+    pressure = (spec.ambient_pressure + spec.gauge_pressure) * squeezed**spec.gamma - spec.ambient_pressure
     push = pressure * area
     if push[-1] <= force:
         return float("inf")

@@ -39,9 +39,9 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     def nan(*shape: int) -> np.ndarray:
         return np.full((frames, *shape), np.nan)
 
-    out: dict[str, Any] = {"pressure": np.where(good, pressure, np.nan), "rest_pressure": float(model.pressure),
-                           "moment": nan(3), "node_position": nan(nodes, 3),
-                           "node_force": nan(nodes, 3)}
+    out: dict[str, Any] = {"pressure": np.where(good, pressure, np.nan),
+                           "rest_pressure": float(model.spec.gauge_pressure), "moment": nan(3),
+                           "node_position": nan(nodes, 3), "node_force": nan(nodes, 3)}
     if good.any():
         out["moment"][good] = np.cross(
             position[good] - mount_pose[good, None, :3, 3], force[good]).sum(axis=1)

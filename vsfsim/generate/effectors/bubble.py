@@ -267,7 +267,7 @@ def result_of(made: Made, request: Request) -> PressResult:
     way = (s.mount[:, 0, :3, 3] - np.array(spec.start)) @ axis
     depth, normal = np.maximum(way - made.gap, 0.0), touch.normal_force()
     pressure, volume = s.pressure[:, 0], s.volume[:, 0] + model.dead_volume
-    change = pressure - model.pressure
+    change = pressure - model.spec.gauge_pressure
     apex, dome = float(model.mesh.points[:, 2].max()), float(model.mesh.volume[0])
     triangles, nodes = len(model.mesh.faces), len(model.mesh.points)
     more: dict[str, Any] = {

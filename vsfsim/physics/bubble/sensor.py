@@ -60,8 +60,6 @@ class BubbleModel(Model):
     """The bubble that it was built from."""
     flat: np.ndarray
     """Positions of the nodes in the clamped sheet before inflation (n, 2) [m]."""
-    pressure: float
-    """Gauge pressure of the free dome [Pa]."""
     dead_volume: float
     """Volume of the chamber behind the plane of the rim [m^3]."""
     read_out: FlatMesh
@@ -72,7 +70,7 @@ class BubbleModel(Model):
         which 20,000 nodes balance at u = 0 to 1e-12 only, or 1e-8 of the force that stretches the membrane to twice its
         width, since a membrane with hardly any gas balances its own tension."""
         a, b = self.spec.semi_axes
-        return max(1e-7 * self.pressure * np.pi * a * b, 1e-8 * self.spec.modulus * (a + b))
+        return max(1e-7 * self.spec.gauge_pressure * np.pi * a * b, 1e-8 * self.spec.modulus * (a + b))
 
 
 def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray, contact_edge: float | None) -> Wishes:
@@ -200,8 +198,8 @@ def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]") -
         known = *coarse[:2], _inflated(spec, coarse, None, where)
     points = np.column_stack([flat, np.zeros(len(flat))]) + _inflated(spec, (flat, faces, rim), known, where)
     faces = faces.astype(np.int32)
-    mesh = TriangleMesh.of(points, faces, rim)
-    inside = float(mesh.volume[0])
+    inside = gas.volume(points, closed(faces, rim))
+    mesh = TriangleMesh(points, faces, rim, np.array([inside]))
     dead = spec.gas_volume - inside
     if dead < 0.0:
         raise SceneError(f"{where}: gas_volume is {1e6 * spec.gas_volume:.4g} mL, but the inflated dome alone holds "
@@ -220,4 +218,4 @@ def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]") -
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
     return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),
                        spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,
-                       edge, factor, spec, flat, spec.gauge_pressure, dead, read_out)
+                       edge, factor, spec, flat, dead, read_out)

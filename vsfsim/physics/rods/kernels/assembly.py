@@ -154,8 +154,8 @@ def assemble_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, 
                 press = contact_law.normal_hessian(at.gap, at.stiffness, geometric)
                 own = plus_point(own, press, row.arm, column.arm, share)
                 if at.friction_limit > ZERO:
-                    rub = contact_law.friction_hessian(at.slip, at.gap.normal, at.stiffness, at.friction_limit)
-                    own = plus_point(own, rub, row.surface, column.surface, share)
+                    u, v = friction.hessian_roots(at.slip, at.gap.normal, at.stiffness, at.friction_limit)
+                    own = plus_point(own, wp.outer(u, u) + wp.outer(v, v), row.surface, column.surface, share)
                     if coulomb == 1 and slips(at):
                         # the friction force follows its limit, the normal force
                         normal = contact_law.normal_stiffness(-at.gap.value, at.stiffness)

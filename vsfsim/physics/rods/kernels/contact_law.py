@@ -20,7 +20,6 @@ its point when it meets the capsule, by the first iterate that is inside.
 
 import warp as wp
 
-from vsfsim.physics.contact import friction
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
 from vsfsim.physics.rods.structs import Gap
 
@@ -70,12 +69,6 @@ def normal_hessian(g: Gap, k: real, geometric: real):
     nn = wp.outer(g.normal, g.normal)
     bend = eye - nn - wp.outer(g.axis, g.axis)
     return normal_stiffness(-g.value, k) * nn - (geometric * normal_force(-g.value, k) / wp.max(g.away, NEAR)) * bend
-
-
-@wp.func
-def friction_hessian(u: vec3, n: vec3, k: real, tau: real):
-    along, across = friction.hessian_roots(u, n, k, tau)
-    return wp.outer(along, along) + wp.outer(across, across)
 
 
 @wp.func
