@@ -79,7 +79,7 @@ def draw_dome(scene: Scene) -> Drawing:
              f"E h {spec.modulus:.0f} N/m, pre-stretch {spec.pre_stretch:g}",
              "  free dome      "
              f"apex {1e3 * mesh.points[:, 2].max():.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at "
-             f"{model.pressure:.0f} Pa gauge",
+             f"{model.spec.gauge_pressure:.0f} Pa gauge",
              f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, sealed: "
              f"dp/dV {-1e-9 * rate:.3f} kPa/mL"]
     surface = Surface(mesh.points, mesh.faces, np.zeros(len(mesh.faces), np.int64), None, mesh.points)
