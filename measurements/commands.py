@@ -177,7 +177,7 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
 
     from vsfsim.bench.admission import fingerprint
     from vsfsim.bench.admission.admit import apart
-    from vsfsim.bench.result_file import read_record
+    from vsfsim.bench.result_file import read_record, write_record
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.core import shelf
     from vsfsim.data.dataset import Dataset
@@ -192,7 +192,7 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
         if wrong:
             raise TaskError(f"the two datasets of task {task} are not of the same planned touches: {wrong[0]}. Give "
                             f"one that `vsfsim generate` made on another machine with the operands of the task.")
-        fingerprint.save_record(msgspec.structs.replace(known, again=share), path := fingerprint.record_path(one))
+        write_record(path := fingerprint.record_path(one), msgspec.structs.replace(known, again=share))
         print(f"{path}: {100.0 * share:.3g} % of the touches read otherwise")
         return
     folder = Dataset.open(dataset).path.resolve().name
@@ -202,5 +202,5 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
         raise TaskError(f"no task reads a dataset called '{folder}'. Name the task with --task.")
     for one in wanted:
         path = fingerprint.record_path(one)
-        fingerprint.save_record(made := fingerprint.make_record(one, open_dataset(one, dataset)), path)
+        write_record(path, made := fingerprint.make_record(one, open_dataset(one, dataset)))
         print(f"{path}: {len(made.entries)} views, {path.stat().st_size / 1e3:.0f} kB")

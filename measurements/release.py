@@ -144,9 +144,9 @@ def _keep_record(task: Task, data: Dataset, out: Path) -> None:
     new, path = fingerprint.make_record(task, data), fingerprint.record_path(task)
     if record is not None and not differences(new, record):
         # the same data, made on a machine that rounds otherwise, or by code that marks other frames
-        fingerprint.save_record(msgspec.structs.replace(record, unresolved=new.unresolved), path)
+        write_record(path, msgspec.structs.replace(record, unresolved=new.unresolved))
         return
-    fingerprint.save_record(msgspec.structs.replace(new, again=record.again if record is not None else 0.0), path)
+    write_record(path, msgspec.structs.replace(new, again=record.again if record is not None else 0.0))
     for path in [*(out / task.name).glob("*.json"), *(out / "studies" / task.name).glob("*.json")]:
         path.unlink()
     write_list([entry for entry in listed().values() if entry.task != task.name], out / LIST)

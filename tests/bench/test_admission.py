@@ -14,6 +14,7 @@ from vsfsim.bench.admission import admit, fingerprint
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result import Result
+from vsfsim.bench.result_file import write_record
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown
 
@@ -27,7 +28,7 @@ def result(constant):
 def written(task, toy_dataset, result, plain_table, tmp_path_factory):
     """The record of the toy dataset, the result as a file, and that file's table as text."""
     folder = tmp_path_factory.mktemp("written")
-    fingerprint.save_record(fingerprint.make_record(task, toy_dataset), folder / "record.json")
+    write_record(folder / "record.json", fingerprint.make_record(task, toy_dataset))
     result.save(folder / "r.json")
     return folder / "record.json", folder / "r.json", json.dumps(plain_table(folder / "r.json"))
 
@@ -116,7 +117,7 @@ def test_where_rounding_decides_as_much_may_differ_as_on_another_machine(task, r
     assert share == pytest.approx(4 / 36) and not wrong
     record = msgspec.structs.replace(record, again=share)
     path = fingerprint.record_path(task)
-    fingerprint.save_record(record, path)
+    write_record(path, record)
     known = fingerprint.shipped_record(task)
     assert known.again == record.again
     for same in (_snapped(4, 0.8), _snapped(5, 1.2), views()):

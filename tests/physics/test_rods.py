@@ -229,28 +229,21 @@ def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd)
                  wire: wp.vec2d, left: wp.vec3d, energy_out: wp.array(dtype=wp.float64),
                  first_out: wp.array2d(dtype=wp.vec3d), second_out: wp.array2d(dtype=wp.spatial_matrixd)):
     b = wp.tid()
-    s = strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2],
-               wp.float64(0.1))
-    energy_out[b] = energy(s, kd, kphi, wire, left)
-    mu = moment(s, kphi, wire, left)
-    f, mc, mp = gradient(s, kd, mu)
+    s = segment.strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2],
+                       wp.float64(0.1))
+    energy_out[b] = segment.energy(s, kd, kphi, wire, left)
+    mu = segment.moment(s, kphi, wire, left)
+    f, mc, mp = segment.gradient(s, kd, mu)
     first_out[b, 0] = f
     first_out[b, 1] = mc
     first_out[b, 2] = mp
-    child, parent, mixed = hessian(s, kd, mu, moment_tangent(s, kphi, wire, left), wp.float64(1.0))
+    child, parent, mixed = segment.hessian(s, kd, mu, segment.moment_tangent(s, kphi, wire, left), wp.float64(1.0))
     second_out[b, 0] = parent
     second_out[b, 1] = mixed
     second_out[b, 2] = child
 
 
-from vsfsim.physics.rods.kernels.segment import (  # noqa: E402  compiled at the launch
-    energy,
-    gradient,
-    hessian,
-    moment,
-    moment_tangent,
-    strain,
-)
+from vsfsim.physics.rods.kernels import segment  # noqa: E402  compiled at the launch
 
 
 @pytest.mark.parametrize(("bend", "wire"), [

@@ -10,20 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench import method as rules
 from vsfsim.bench.isolation.wire import packed
-from vsfsim.bench.method import (
-    Method,
-    Reading,
-    build_method,
-    checked_choice,
-    checked_prediction,
-    find_method,
-    frozen,
-    frozen_view,
-    numbers,
-    parameters_of,
-    plain_parameters,
-)
+from vsfsim.bench.method import Method, Reading, frozen, frozen_view
 from vsfsim.bench.metrics import rmse, touch_errors
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -67,9 +56,9 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
     Raises:
         MethodError: the method is unknown or cannot be built at all.
     """
-    factory = find_method(name)
-    values = parameters_of(factory, parameters or {})
-    build_method(factory, values)
+    factory = rules.find_method(name)
+    values = rules.parameters_of(factory, parameters or {})
+    rules.build_method(factory, values)
     contract = _Contract(factory, values, brief)
     return tuple(_try(clause, test, contract) for clause, test in _CLAUSES.items()
                  if not (brief and clause in _LONGER))
@@ -126,7 +115,7 @@ class _Contract:
     # ------------------------------------------------------------------ what the clauses use
 
     def learn(self) -> Method:
-        method = build_method(self.factory, self.values)
+        method = rules.build_method(self.factory, self.values)
         method.meta_fit(self.specimens)
         return method
 
@@ -143,7 +132,7 @@ class _Contract:
         return self.prediction(method)
 
     def prediction(self, method: Method, function: str = "predict") -> list[np.ndarray]:
-        return checked_prediction(getattr(method, function)(self.actions), self.actions,
+        return rules.checked_prediction(getattr(method, function)(self.actions), self.actions,
                                   [f"mock touch {i} ({function})" for i in range(5, 8)])
 
     def spoiled(self, reading: Reading, frame: int, *, valid: bool) -> Reading:
@@ -166,7 +155,7 @@ class _Contract:
     def scored(self, support: Sequence[Reading]) -> str:
         method = self.copy()
         answer = self.answer(method, support)
-        checked_prediction(method.predict([]), [], [])
+        rules.checked_prediction(method.predict([]), [], [])
         self._adapted.append(method)
         mine, zero = (rmse([touch_errors(p, y, r.valid) for p, y, r in zip(
             given, self.clean[5:], self.readings[5:], strict=True)]) for given in (
@@ -204,7 +193,7 @@ class _Contract:
             estimate = function(np.array([[-0.02, 0.0, 0.03], [0.0, 0.0, 0.03], [0.02, 0.01, 0.03]]))
             for key in ("mean", "std"):
                 given = getattr(estimate, key, None)
-                values = numbers(given, f"stiffness has a {key}")
+                values = rules.numbers(given, f"stiffness has a {key}")
                 if values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
                     raise MethodError(f"stiffness of 3 points has {key} {given!r}; it must return an Estimate with 3 "
                                       f"finite numbers >= 0.")
@@ -216,7 +205,7 @@ class _Contract:
 
     def choice(self) -> None:
         for function in self.optional("choose"):
-            checked_choice(function(self.view, list(self.support), self.actions), len(self.actions))
+            rules.checked_choice(function(self.view, list(self.support), self.actions), len(self.actions))
 
     def unchanged(self) -> None:
         if self._arrays() != self._untouched:
@@ -229,7 +218,7 @@ def _agree(one: Sequence[np.ndarray], other: Sequence[np.ndarray], complaint: st
 
 
 _CLAUSES: Mapping[str, Callable[[_Contract], Any]] = {
-    "parameters are plain values": lambda c: plain_parameters(c.values),
+    "parameters are plain values": lambda c: rules.plain_parameters(c.values),
     "meta_fit learns from training objects": lambda c: c.learned() and None,
     "predicts before any touch (0-shot)": lambda c: c.scored([]),
     "copes with frames that have no reading": lambda c: c.scored(c.gap),

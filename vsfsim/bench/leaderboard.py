@@ -14,7 +14,7 @@ from typing import Any
 from vsfsim.bench.admission.admit import Row, admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
 from vsfsim.bench.board.compare import AREA, LEVEL, Runs, interval, means, ranks, shares, wins
-from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, absent, contradicts, is_same, listed
+from vsfsim.bench.board.rows import CEILING, CLAIMED, PREDICTIONS, absent, contradicts, is_same, listed
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.result import Result, score_text, unit_of
 from vsfsim.bench.task import Task
@@ -65,8 +65,6 @@ def collect(task: Task, paths: Iterable[Path] = (), *, shipped: bool = True) -> 
         row = admit(result, path, task, record, reference, entries, made_here=path.parent != own)
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if row.mark else good
-        if not row.mark:  # an earlier row that comes out again needs no row of its own
-            odd = [one for one in odd if one.mark != EARLIER or not is_same(result, one.result)]
         same = next((k for k, before in enumerate(rows) if is_same(result, before.result)), None)
         if same is not None:
             if row.origin != "shipped" and rows[same].origin == "shipped":
@@ -213,9 +211,8 @@ def share_of_possible(row: Row, ceiling: float | None) -> float | None:
 def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     """What its columns and signs say, and which rows are not ranked or absent; operands as of `cells`."""
     there = {f"{row.result.method}.{row.result.preset}".rstrip(".") for row in board.rows if row.mark in ("", CEILING)}
-    odd = dict.fromkeys(f"{shown(row.result.method)}: {shown(row.mark)}" for row in board.rows
-                        if row.mark not in ("", EARLIER))
-    return filled("notes.txt", board=board, task=board.task, odd=odd, possible=possible(board), earlier=EARLIER,
+    odd = dict.fromkeys(f"{shown(row.result.method)}: {shown(row.mark)}" for row in board.rows if row.mark)
+    return filled("notes.txt", board=board, task=board.task, odd=odd, possible=possible(board),
                   absent=absent(board.task.name, there), apart=f"{1.0 - LEVEL:.0%}", predictions=PREDICTIONS,
                   shares=" + ".join(f"{share:.2f} of {label}-shot" for label, share in shares(board.task).items()),
                   correlated=any("stiffness_spearman" in row.scores for row in board.rows), shown=shown).splitlines()

@@ -261,10 +261,10 @@ def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board,
     for path, table in ((one, great), (other, better)):
         path.write_text(json.dumps(table))
     found = leaderboard.collect(board.task).rows
-    odd = {row.result.method: row for row in found if row.mark == rows.EARLIER}
+    odd = {row.result.method: row for row in found if row.mark == rows.UNLISTED}
     assert odd.keys() == {"great", better["method"]} and all(row.rank is None for row in odd.values())
     assert {row.evidence for row in odd.values()} == {"open"}
-    assert "†" in leaderboard.text(leaderboard.collect(board.task))
+    assert f"* great: {rows.UNLISTED}" in leaderboard.text(leaderboard.collect(board.task))
     entry = next(iter(rows.listed().values()))
     write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / rows.LIST)
     assert {one.evidence for one in rows.listed().values()} == {"verified"}

@@ -24,7 +24,7 @@ import numpy as np
 
 from vsfsim.bench.admission.fingerprint import IMAGES, READING, SCALE, Record
 from vsfsim.bench.board.compare import Runs, curve
-from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, Entry, claimed, is_ceiling, row_sha256
+from vsfsim.bench.board.rows import CEILING, CLAIMED, UNLISTED, Entry, claimed, is_ceiling, row_sha256
 from vsfsim.bench.metrics import Score
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import as_rows
@@ -79,8 +79,8 @@ class Row:
 
     @property
     def signs(self) -> str:
-        """Behind the name: † an earlier row, * not ranked for another reason, ~ other bits."""
-        return " †" if self.mark == EARLIER else " *" if self.mark else " ~" if self.other_bits else ""
+        """Behind the name: * not ranked, ~ other bits."""
+        return " *" if self.mark else " ~" if self.other_bits else ""
 
 
 def admit(result: Result, path: Path, task: Task, record: Record | None, reference: str,
@@ -110,10 +110,10 @@ def admit(result: Result, path: Path, task: Task, record: Record | None, referen
     if packed:
         other = entry is not None and entry.other_bits
     if not reason and entry is None and (packed or claimed(result, task)):
-        reason = EARLIER if packed else CLAIMED
+        reason = UNLISTED if packed else CLAIMED
     elif not reason and is_ceiling(result):
         reason = CEILING
-    values = curve(result, task) if reason in ("", CEILING, EARLIER) else {}
+    values = curve(result, task) if reason in ("", CEILING) else {}
     return Row(result, path, reason, scores, other and not reason, entry, origin, values)
 
 

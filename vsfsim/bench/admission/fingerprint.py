@@ -23,10 +23,8 @@ import numpy as np
 from vsfsim.bench.protocol import divide, folds_of, record, share_unresolved
 from vsfsim.bench.result_file import pack, read_record, unpack
 from vsfsim.bench.task import Task
-from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import folder
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import Touch
 
 KIND = "record of a dataset as `vsfsim measure record FOLDER` writes it"
@@ -139,15 +137,6 @@ def shipped_record(task: Task) -> Record | None:
         return None
     found = read_record(path, Record, KIND)
     return found if (found.task, found.task_sha256) == (task.name, task.sha256) else None
-
-
-def save_record(record: Record, path: Path) -> None:
-    """Write a record.
-
-    Raises:
-        TaskError: the file cannot be written.
-    """
-    write_atomic(path, msgspec.json.encode(record) + b"\n", error=TaskError)
 
 
 def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:

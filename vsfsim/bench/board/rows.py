@@ -5,8 +5,7 @@ itself, its scores, and the value of every metric of each object in each run, in
 single touches or the maps of stiffness evaluates the method again. Rows of studies are in `leaderboard/studies/TASK/`.
 
 What a row rests on is a fact of the repository: `leaderboard/evidence.json` lists the sha256s of its rows with what
-made them. What a result says of itself is never read. A row that ships and is not on the list is an earlier one, of a
-method or a scorer that is gone.
+made them. What a result says of itself is never read, and a row that ships and is not on the list is not ranked.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ CEILING = "a ceiling, which knows the true object"
 """Why the row of a ceiling is not ranked."""
 CLAIMED = "claimed: it has the name of a method that ships, and its source, settings or scores are not that method's"
 """Why a row with a borrowed name is not ranked."""
-EARLIER = "an earlier row, of a method or a scorer that is gone"
+UNLISTED = "not on the list of the rows that ship"
 """Why a row that ships and is not on the list is not ranked."""
 
 _Sha256 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]

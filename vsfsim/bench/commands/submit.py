@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from vsfsim.bench.admission.admit import Row
-from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
+from vsfsim.bench.board.rows import CEILING, CLAIMED, PREDICTIONS, command_of
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.identity import SCORER, changed
 from vsfsim.bench.leaderboard import collect, score_table
@@ -76,7 +76,7 @@ def _findings(result: Result, task: Task, row: Row) -> Iterator[tuple[str, str, 
     """What was looked at, what becomes of the row where something is wrong, and what is wrong, or ""."""
     refused, told = "refused", "told"
     yield ("complete, scored by its own rows, on the task's data", refused,
-           row.mark if row.mark not in (CLAIMED, CEILING, EARLIER) else "")
+           row.mark if row.mark not in (CLAIMED, CEILING) else "")
     yield ("not on the board yet", refused, "a row with the same scores ships already" if row.origin != "made here" else
            "")
     yield ("its name is its own", refused, f"'{result.method}' is a method that ships, and this is another one, or "

@@ -32,17 +32,9 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench import method as rules
 from vsfsim.bench.isolation import box, limits
 from vsfsim.bench.isolation.wire import Reply, encoded, packed
-from vsfsim.bench.method import (
-    build_method,
-    checked_choice,
-    checked_prediction,
-    find_method,
-    numbers,
-    parameters_of,
-    plain_parameters,
-)
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
@@ -241,9 +233,9 @@ class _Server:
     # ------------------------------------------------------------------ before the trials
 
     def do_find(self, payload: dict[str, Any]) -> Reply:
-        self.factory = find_method(payload["name"], search=payload["folder"])
-        self.parameters = parameters_of(self.factory, payload["parameters"])
-        plain_parameters(self.parameters)
+        self.factory = rules.find_method(payload["name"], search=payload["folder"])
+        self.parameters = rules.parameters_of(self.factory, payload["parameters"])
+        rules.plain_parameters(self.parameters)
         return Reply({"entry": f"{self.factory.__module__}:{getattr(self.factory, '__qualname__', self.factory)}",
                       "parameters": self.parameters, "seeded": "seed" in inspect.signature(self.factory).parameters})
 
@@ -255,7 +247,7 @@ class _Server:
         return Reply({"failed": [[f.clause, plain(f.detail)] for f in failed]})
 
     def do_build(self, seed: int | None) -> None:
-        self.method = build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
+        self.method = rules.build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
 
     def do_meta_fit(self, specimens: Any) -> None:
         _use_threads(int(os.environ.get("OMP_NUM_THREADS") or os.cpu_count() or 1))
@@ -285,21 +277,21 @@ class _Server:
         return Reply({"offers": [name for name in OPTIONAL if callable(getattr(self.method, name, None))]})
 
     def do_choose(self, operands: Any) -> Reply:
-        return Reply({"chosen": checked_choice(self.method.choose(*operands), len(operands[-1]))})
+        return Reply({"chosen": rules.checked_choice(self.method.choose(*operands), len(operands[-1]))})
 
     def do_predict(self, operands: Any) -> Reply:
         actions, names = operands
-        return Reply(arrays=tuple(checked_prediction(self.method.predict(actions), actions, names)))
+        return Reply(arrays=tuple(rules.checked_prediction(self.method.predict(actions), actions, names)))
 
     def do_stiffness(self, points: np.ndarray) -> Reply:
         given = self.method.stiffness(points)
         if getattr(given, "mean", None) is None:
             raise MethodError(f"stiffness must return an Estimate with a mean and a std; it "
                               f"returned {type(given).__name__}.")
-        return Reply(arrays=(numbers(given.mean, "stiffness has a mean"),))
+        return Reply(arrays=(rules.numbers(given.mean, "stiffness has a mean"),))
 
     def do_locate(self, payload: Any) -> Reply:
-        return Reply(arrays=(numbers(self.method.locate(*payload), "locate must return a transform "
+        return Reply(arrays=(rules.numbers(self.method.locate(*payload), "locate must return a transform "
                                                                     "(4, 4), and not one"),))
 
 
