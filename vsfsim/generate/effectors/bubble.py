@@ -284,10 +284,10 @@ def result_of(made: Made, request: Request) -> PressResult:
             f"({', '.join(f'{v:.4f}' for v in at_full[:3])}) N, "
             f"({', '.join(f'{v:.5f}' for v in at_full[3:])}) N m; "
             f"{100 * more['slipping'][full]:.0f} % of the points in contact slip.",
-            f"Free dome: apex {1e3 * apex:.2f} mm, {1e6 * dome:.2f} mL, {model.spec.gauge_pressure:.1f} Pa "
-            f"gauge. {triangles} triangles, {nodes} nodes, mean edge where it is touched "
-            f"{1e3 * edge:.2f} mm, on {request.device}; built in {made.build_seconds:.1f} s, "
-            f"solved in {frames.seconds.sum():.1f} s.")
+            f"Free dome: apex {1e3 * apex:.2f} mm, {1e6 * dome:.2f} mL, "
+            f"{model.spec.gauge_pressure:.1f} Pa gauge. {triangles} triangles, {nodes} nodes, "
+            f"mean edge where it is touched {1e3 * edge:.2f} mm, on {request.device}; "
+            f"built in {made.build_seconds:.1f} s, solved in {frames.seconds.sum():.1f} s.")
     mesh = cast(TriangleMesh, model.mesh)
     return PressResult(
         touch, depth, full, edge=edge, more=more,
