@@ -10,7 +10,7 @@ import texts
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.inclusions import Columns, Inclusions, mesh_of, reached_in
-from vsfsim.bench.leaderboard import collect, score_table, text
+from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.method import Estimate
 from vsfsim.bench.metrics import Answer, record_scores
 from vsfsim.bench.mock import BLOCK, mock_view
@@ -89,7 +89,7 @@ def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path):
                           parameters={"blur": blur, "known": str(tmp_path / "known")})
         paths.append(tmp_path / "results" / f"{blur}.json")
         result.save(paths[-1])
-        assert "mask_f1" in score_table(result, "mask_f1").splitlines()[2]
+        assert "mask_f1" in result.table("mask_f1")[1][0][0]
     board = collect(task, paths)
     assert [(row.rank, row.result.parameters["blur"]) for row in board.rows] == [
         (1, 0.0), (1, 1.0)]  # two objects: a tie

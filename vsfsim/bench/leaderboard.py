@@ -21,7 +21,6 @@ from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
-from vsfsim.core.text_table import text_table
 from vsfsim.data.provenance import made_by
 
 
@@ -162,11 +161,6 @@ def chart(board: Board) -> dict[str, Any]:
 def title(task: Task) -> str:
     """What the figures of a board are: one line."""
     return filled("title.txt", task=task, unit=unit_of(task.primary, task.observation.unit))
-
-
-def score_table(result: Result, metric: str) -> str:
-    """One result for a terminal: every metric by shot, that called ``metric`` first."""
-    return text_table(*result.table(metric))
 
 
 def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:

@@ -177,9 +177,9 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
     """
     from vsfsim.bench.board.rows import row_sha256
     from vsfsim.bench.commands.score import score_predictions
-    from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import check_commitment, receipt
     from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.core.text_table import text_table
 
     wanted = load_task(task)
     path = result_path(out, wanted.name, name)
@@ -189,7 +189,7 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
     result = score_predictions(predictions, wanted, data, name=name)
     result.save(path)
     given = receipt(sealed, row_sha256(result)) if sealed is not None else {}
-    report(f"{score_table(result, wanted.primary)}\nwritten to {path}" + "".join(
+    report(f"{text_table(*result.table(wanted.primary))}\nwritten to {path}" + "".join(
         f"\n{key}: {value}" for key, value in given.items()), {**result.summary(), "written": str(path), **given}, json)
 
 

@@ -6,11 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.templates import filled
-from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
@@ -35,7 +32,7 @@ def inspect_result(path: Path) -> tuple[str, dict[str, Any]]:
     objects = {label: by_object(result, metric, label) for label in result.shots}
     touches = _touches(result, shot)
     order = sorted(objects[shot], key=lambda name: objects[shot][name], reverse=not METRICS[metric].higher_is_better)
-    page = filled("inspect.txt", scores=Markup(score_table(result, metric)), result=result, metric=metric, shot=shot,
+    page = filled("inspect.txt", scores=result.table(metric), result=result, metric=metric, shot=shot,
                   head=["object", *(f"{label}-shot" for label in result.shots)],
                   objects=[[name, *(_written(of.get(name)) for of in objects.values())] for name in order],
                   units=[f"{label}-shot [{result.unit}]" for label in result.shots],

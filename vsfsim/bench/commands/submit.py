@@ -8,13 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
 from vsfsim.bench.admission.admit import Row
 from vsfsim.bench.board.rows import CEILING, CLAIMED, PREDICTIONS, command_of
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.identity import SCORER, changed
-from vsfsim.bench.leaderboard import collect, score_table
+from vsfsim.bench.leaderboard import collect
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import OTHERS, Task, load_task, retired
 from vsfsim.core.errors import TaskError
@@ -63,7 +61,7 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     install = shlex.join(["pip", "install", f"{package['name']}=={package['version']}"]) if (
         package.get("name") not in (None, "", "vsfsim")) else ""
     page = filled("pull_request.md", result=result, task=task, place=place, file=str(target.relative_to(out)),
-                  score_table=Markup(score_table(replace(result, scores=row.scores), task.primary)),
+                  scores=replace(result, scores=row.scores).table(task.primary),
                   install=install, again=command_of(result, whole=True), findings=checks)
     write_atomic(text, f"{page}\n".encode(), error=TaskError)
     words = (f"{told}\n\n{place}\n\nrow: {target}\npull request: {text}\n\nCopy the folder leaderboard/ of {out} into "
