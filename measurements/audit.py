@@ -91,14 +91,15 @@ class Shipped(msgspec.Struct):
 
 
 def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, fresh: Sequence[Path] = (),
-          measure: bool = True, progress: Callable[[int, int, str], None] = lambda *_: None) -> Audit:
+          measure: bool = True, workers: int = 1,
+          progress: Callable[[int, int, str], None] = lambda *_: None) -> Audit:
     """Audit a task.
 
     Args:
         task: the task. results: further result files or folders, beside the rows that ship. dataset: its
         folder, None for the task's. fresh: folders of results of the same methods on objects of other seeds. measure:
         evaluate the shortcuts; else, and without data, they are those that ship, as is ``fresh`` where none are given.
-        progress: as of `evaluate`.
+        workers, progress: as of `evaluate`.
 
     Raises:
         TaskError: a file is not a result of the task.
@@ -108,7 +109,7 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     pairs = [paired(worse, better) for better, worse in itertools.pairwise(values)]
     known = shipped(task)
     folder = Path("results") / task.name / "audit"  # of the shortcuts
-    errors = (_shortcuts(task, dataset, folder, progress) if measure else {}) or known.errors
+    errors = (_shortcuts(task, dataset, folder, workers, progress) if measure else {}) or known.errors
     shortcuts = []
     for sees, of in errors.items():
         mine = {name: np.array([[value]]) for name, value in of.items()}
@@ -145,14 +146,14 @@ def text(found: Audit, board_metric: str) -> str:
                   fewest=FEWEST_ROWS).rstrip()
 
 
-def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callable[[int, int, str], None]
-               ) -> dict[str, ByObject]:
+def _shortcuts(task: Task, dataset: Path | None, folder: Path, workers: int,
+               progress: Callable[[int, int, str], None]) -> dict[str, ByObject]:
     """The area of each object by shortcut; {} where the data are not here, or the task ranks by no readings."""
     if task.metric.answer is not Answer.READINGS or (
             dataset is None and not (task.dataset.path() / "dataset.json").is_file()):
         return {}
     rows, out = {folder / f"shortcut-{sees}.json": Choice(METHOD, "", {"sees": sees}) for sees in KINDS}, {}
-    for made in evaluate_all(task, rows, dataset=dataset, progress=progress):
+    for made in evaluate_all(task, rows, dataset=dataset, workers=workers, progress=progress):
         if made.result is None:
             raise made.failure or TaskError(f"{made.path} was not made.")
         out[made.path] = means(curve(made.result, task)[AREA])

@@ -118,7 +118,8 @@ class Whole:
         if "audit" in left and all(map(self.current, self.part.rows)):
             try:
                 folders = [self._on(seed, workers, progress) for seed in SEEDS] if self.part.fresh else []
-                found = audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
+                found = audit.audit(task, [], dataset=data.path, fresh=folders, workers=workers,
+                                    progress=progress)
                 ship_audit(found, out / "audits" / f"{self.name}.json", task.sha256, self.audited())
                 yield "audit", ""
             except VsfsimError as error:  # studies and other tasks are made all the same

@@ -189,6 +189,8 @@ def _press(position: np.ndarray, force: np.ndarray, normal: np.ndarray, radius: 
 
 
 def _csv(path: Path) -> tuple[list[Press], float]:
+    if not path.stat().st_size:  # of which NumPy warns, too
+        raise ValueError("the file is empty")
     table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, dtype=float))
     columns = {name: np.stack([table[f"{name}{axis}"] for axis in "xyz"], axis=1) for name in ("", "f", "n")}
     failed = table["failed"] if "failed" in (table.dtype.names or ()) else np.zeros(len(table))
