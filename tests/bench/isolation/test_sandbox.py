@@ -222,6 +222,7 @@ def test_memory_processes_and_files_are_limited_by_default(one_trial):
         for code, printed in (("x = bytearray(3 << 40)", "MemoryError"),
                               ("[os.fork() or (time.sleep(60), os._exit(0)) for _ in range(100_000)]",
                                "BlockingIOError"),
+                              ("[open(str(k), 'w').close() for k in range(1 << 17)]", "OSError"),
                               ("open('/tmp/x', 'wb').write(bytes(3 << 30))", "OSError")):
             make("0", CODE=code)
             assert make.log.read_text().split()[-1] == printed

@@ -64,7 +64,8 @@ def enter(given: dict[str, Any]) -> None:
     Args:
         given: ``root``, an empty folder; ``shown``, files and folders by absolute path; ``links``, pairs of a path and
         what it points to; ``emptied``, folders of which is seen only what is shown in them; ``hidden``, folders that
-        appear empty, and pipes, in whose place is /dev/null; ``size``, the most bytes in /tmp.
+        appear empty, and pipes, in whose place is /dev/null; ``size``, the most bytes in /tmp, where the number of
+        files is limited, too, as each takes a kilobyte of the kernel's.
 
     Raises:
         OSError: the system refuses; the message says which step.
@@ -76,7 +77,7 @@ def enter(given: dict[str, Any]) -> None:
     _mount("tmpfs", root, "tmpfs", 0, "mode=755")
     for name in ("proc", "tmp", "dev", "dev/shm"):
         os.mkdir(f"{root}/{name}")
-    _mount("tmpfs", f"{root}/tmp", "tmpfs", _NOSUID, f"mode=1777,size={given['size']}")
+    _mount("tmpfs", f"{root}/tmp", "tmpfs", _NOSUID, f"size={given['size']},nr_inodes=99k")
     _mount("proc", f"{root}/proc", "proc", _NOSUID)
     for path, target in (*given["links"], ("/dev/fd", "/proc/self/fd"), ("/dev/stdin", "/proc/self/fd/0"),
                          ("/dev/stdout", "/proc/self/fd/1"), ("/dev/stderr", "/proc/self/fd/2")):
