@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import references
-from measurements.trust import Ask, ask, cell_of, judge
+from measurements.trust import Ask, ask, judge
 from references.cells import CELLS, FRAMES
 from vsfsim.core.scene import parse_scene
 from vsfsim.physics.contact import sdf
@@ -23,13 +23,12 @@ def test_every_press_is_a_scene_that_touches_first_where_its_reference_does(tmp_
             assert poses[-1, 0, 0, 3] == pytest.approx(cell.at) and len(poses) == (3 if slide else FRAMES)
 
 
-def test_a_press_of_a_known_force_is_judged_frame_by_frame():
-    """The thickest reference of one material under a ball, at `fem-coarse`."""
-    number = next(k for k, one in enumerate(KNOWN) if cell_of(one).body[0] != "sphere" and not one["press"]["parts"]
-                  and one["press"]["probe"][0] == "sphere" and not one["press"]["foam"])
+@pytest.mark.parametrize("number", [0, 42], ids=["block", "soft layer"])
+def test_a_press_of_a_known_force_is_judged_frame_by_frame(number):
+    """A soft layer on a body ten times as hard lacks less than a half-space does, and is off by 6 to 9 %."""
     rows = judge(Ask(0, number, "fem-coarse", "press", 1, 1.0), limit=120.0)
     assert len(rows) == FRAMES and all(np.isfinite(row["error"]) for row in rows)
-    assert rows[-1]["error"] < 0.1 or rows[-1]["marked"]
+    assert all(row["marked"] or row["error"] - row["unsure"] < row["told"] for row in rows)
 
 
 def test_every_reference_is_asked_before_any_is_asked_again():

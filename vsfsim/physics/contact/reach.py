@@ -18,8 +18,8 @@ _BULGE = 0.15  # of the depth: margin for surface that bulges up
 _BEHIND = 0.3
 
 
-def plan(bodies: RigidBodies, model: Model, poses: np.ndarray, cuts: int, *, local: bool, by_place: bool,
-         sprung: bool, device: str) -> tuple[np.ndarray, np.ndarray]:
+def plan(bodies: RigidBodies, model: Model, poses: np.ndarray, cuts: int, *, local: bool,
+         by_place: bool, sprung: bool, device: str) -> tuple[np.ndarray, np.ndarray]:
     """What rigid bodies can reach of an object's boundary on their way, and how finely contact samples it.
 
     The six points of a part leave holes of radius 0.25 edge / cuts. Over such a hole a ball of radius R is (0.25 edge /

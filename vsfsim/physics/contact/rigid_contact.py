@@ -85,8 +85,8 @@ class RigidContact(Contact):
                                   **({} if self.solid else {"steps": 3 * cuts}))
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros(poses.shape[1], dtype=torch.float64, device=device)
-        reachable, self._cuts = plan(bodies, model, poses, cuts, local=local, by_place=self._by_place,
-                                     sprung=mount is not None, device=device)
+        reachable, self._cuts = plan(bodies, model, poses, cuts, local=local, device=device,
+                                     by_place=self._by_place, sprung=mount is not None)
         self._area = model.mesh.face_area()
         self._core = wp.array([min(CORE * inner_radius(s), 1.0) for s in bodies.shapes], dtype=real, device=device)
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
@@ -273,7 +273,8 @@ class RigidContact(Contact):
         [-], see `LocalIndentation.resolution`."""
         gone = self.places(columns, (self._x - self.rest.view_as(self._x))[columns])
         gone = (gone * self.normal[columns]).sum(dim=2)
-        return self.local_indentation.resolution(self.gap[columns], gone, self._held(columns), columns)
+        return self.local_indentation.resolution(
+            self.gap[columns], gone, self._held(columns), self.on_bodies(columns), columns)
 
     def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
         own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=vec3)
