@@ -171,7 +171,7 @@ class DatasetTouches:
         for some in [aims] if setting.level is None else [[a] for a in aims]:
             began = time.process_time()
             own = effector.on(subject, some[0], setting)
-            own.model.preconditioner.ready()
+            own.model.preconditioner.solve(np.zeros((own.model.preconditioner.size, 1)))
             built = time.process_time()
             touches += effector.touch(own, some, device=self._device)
             done = time.process_time()

@@ -42,7 +42,7 @@ from vsfsim.physics.mesh.membrane import TriangleMesh
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.coupled import free_way
 from vsfsim.physics.solve.frames import SolverOptions
-from vsfsim.physics.solve.kernels import coupled_kernels, solver_kernels
+from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.robot.path import pose_at, press_path
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 from vsfsim.sensing.camera import fitting_camera
@@ -94,7 +94,7 @@ class BubbleEffector(OnSolids):
     def kernels(self, scene: Scene) -> list[Any]:
         """Those of the coupled solver; its oracle VSF sticks to the dome without a kernel."""
         own = [] if scene.object is None else tiers.elements(scene, bubble_touch.tier_for(scene, None))
-        return coupled_kernels([*own, ("triangle", ""), ("hinge", ""), ("gas", "")])
+        return solver_kernels([*own, ("triangle", ""), ("hinge", ""), ("gas", "")], None)
 
     def shapes(self, subject: Subject, aims: Sequence[Aim]) -> tuple[ProbeShape, list[ProbeShape], float]:
         """The free dome, to whose skin the object sticks."""
@@ -211,7 +211,7 @@ def solve(scene: Scene, request: Request) -> Made:
         effects.check_body(scene, body)
         notes = [*body.solid.notes,
                  f"object at tier {tier}: {len(body.mesh.tets)} tetrahedra; reaction and balance are the object's"]
-        kernels = coupled_kernels(elements_of([*body.blocks, *model.blocks]))
+        kernels = solver_kernels(elements_of([*body.blocks, *model.blocks]), None)
         options = bubble_touch.solver_options(tiers.options(tier), request.device)
         gap = free_way(body, model, first, axis)
     built = time.perf_counter() - began

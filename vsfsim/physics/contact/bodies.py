@@ -14,6 +14,7 @@ import warp as wp
 
 from vsfsim.core.shape import MeshFile, ProbeShape
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.kernels import bound
 from vsfsim.physics.runtime import mat33, real, vec3
 
 
@@ -78,15 +79,12 @@ class RigidBodies:
 
         kinds, sizes = zip(*(sdf.encode(s) for s in self.shapes), strict=True)
         columns = {
-            "kind": kinds, "size": sizes, "start": of(lambda g: starts[id(g)], 0),
+            "kind": np.array(kinds), "size": np.array(sizes), "start": of(lambda g: starts[id(g)], 0),
             "nodes": of(lambda g: g.coefficients.shape, (0, 0, 0)), "spacing": of(lambda g: g.spacing, 1.0),
             "origin": of(lambda g: g.origin, np.zeros(3)),
             "coefficients": np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())])}
-        self._on[device] = bodies = sdf.Bodies()
-        for name, values in columns.items():
-            dtype = sdf.Bodies.vars[name].type.dtype
-            setattr(bodies, name, wp.array(np.array(values), dtype=dtype, device=device))
-        return bodies
+        self._on[device] = bound(sdf.Bodies, columns, (), device)[0]
+        return self._on[device]
 
 
 @wp.kernel(module="vsfsim_intrusion", enable_backward=False)

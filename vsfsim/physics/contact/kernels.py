@@ -86,7 +86,7 @@ def bound(struct: Any, given: Mapping[str, Any], size: tuple[int, ...],
         if not hasattr(kind := var.type, "ndim"):
             setattr(out, name, given[name])
             continue
-        real = torch.int32 if kind.dtype is wp.int32 else torch.float64
+        real = torch.int32 if kind.dtype in (wp.int32, wp.vec3i) else torch.float64
         if (value := given.get(name)) is None:
             value = torch.zeros((*size[:kind.ndim], *getattr(kind.dtype, "_shape_", ())), dtype=real, device=device)
         elif isinstance(value, np.ndarray):

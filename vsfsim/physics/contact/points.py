@@ -50,14 +50,11 @@ class Contact:
     own_stiffness: Callable[..., torch.Tensor]
     """Stiffness of the contact points of some touches (k, p, 3, 3) [N/m], of some with the geometric term, see
     `stiffness`."""
+    turn: tuple[int, torch.Tensor] | None = None
+    """See `stiffness.assembled`, of all touches."""
     _launch: Callable[[Any, torch.Tensor], None]  # runs a kernel over the points of some touches (k,)
     _overlap: torch.Tensor  # how deep bodies lie in one another by the geometry at the last `extend_patch` (B,) [m]
     _passage: Any  # that check; its ``tolerance`` is the depth above which a body counts as inside [m]
-
-    @property
-    def turn(self) -> tuple[int, torch.Tensor] | None:
-        """See `stiffness.assembled`, of all touches."""
-        return None
 
     def _take(self, listed: np.ndarray, free: np.ndarray, points: np.ndarray) -> None:
         """Set `dof`, `mask`, `free` and `rest` for the nodes ``listed`` (B, s), -1 for padding, of all nodes with their

@@ -15,6 +15,8 @@ indentation (`contact.local_indentation`) is held where it is.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 import warp as wp
@@ -23,7 +25,7 @@ from vsfsim.core.shape import ProbeShape
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.frames import Frames, SolverOptions
 from vsfsim.physics.solve.newton import newton_direction
 from vsfsim.physics.solve.touches import Known, Solver
 
@@ -53,9 +55,10 @@ class Sensitivity(Solver):
         self._near = [] if near is None else near._own
         self._own: list[Known] = []
 
-    def _run(self, poses: np.ndarray, *more: object) -> object:  # type: ignore[override]
+    def run(self, poses: np.ndarray, **more: Any) -> Frames:
+        """See `Solver`."""
         self.derivative = []
-        frames = super()._run(poses, *more)  # type: ignore[arg-type]
+        frames = super().run(poses, **more)
         self._own = self._equilibria[len(self._near):]
         return frames
 

@@ -12,7 +12,6 @@ keep their digits. What bends easily and is stiff otherwise, as a thin plate, lo
 """
 
 import functools
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -61,28 +60,23 @@ class Order:
         count = len(self.start) - 1
         self.owners = np.repeat(np.arange(count), np.diff(self.start))
         self._keys = self.owners * count + self.neighbours
-        tree = fronts(sp.csr_matrix((np.ones(len(self._keys)), self.neighbours, self.start), (count, count)), points)
-        self.place = np.empty(3 * count, np.int32)
-        self.tables = np.zeros((len(tree), 5), np.int64)
-        # of every front: own nodes, nodes below and children end here; the update of its children begins there
-        self._at = np.zeros((len(tree) + 1, 4), np.int64)
-        slot, self.entries, below, self._room = 0, 0, 0, 0
-        for f, front in enumerate(tree):
-            p, q = 3 * len(front.own), 3 * len(front.boundary)
-            self.place[_unknowns(front.own)] = slot + np.arange(p)
+        own, later, self._children = fronts(
+            sp.csr_matrix((np.ones(len(self._keys)), self.neighbours, self.start), (count, count)), points)
+        self.place, self.tables = np.empty(3 * count, np.int32), np.zeros((len(own), 5), np.int64)
+        slot, self.entries, below = 0, 0, 0
+        for f, (mine, tied) in enumerate(zip(own, later, strict=True)):
+            p, q = 3 * len(mine), 3 * len(tied)
+            self.place[_unknowns(mine)] = slot + np.arange(p)
             self.tables[f] = p, q, slot, self.entries, below
             slot, self.entries, below = slot + p, self.entries + p * (p + q), below + q
-            # a front's update takes the place of its children's
-            here = self._at[front.children[0], 3] if front.children else self._at[f, 3]
-            self._at[f, 3], self._at[f + 1, 3] = here, here + q * q
-            self._at[f + 1, :3] = self._at[f, :3] + (len(front.own), len(front.boundary), len(front.children))
-            self._room = max(self._room, int(here) + q * q)
-        self._wide = int(self.tables[:, :2].sum(axis=1).max())
         p, q = self.tables[:, 0].astype(float), self.tables[:, 1].astype(float)
         self.work = float((p**3 / 2.0 + p * p * q + p * q * q / 2.0).sum()) / max(self.entries, 1)
-        self.below = np.concatenate([*(self.place[_unknowns(front.boundary)] for front in tree), [0]]).astype(np.int32)
-        self._lists = [np.concatenate([*parts, [0]]).astype(np.int32) for parts in (
-            [f.own for f in tree], [f.boundary for f in tree], [np.array(f.children, np.int32) for f in tree])]
+        self.below = np.concatenate([*(self.place[_unknowns(tied)] for tied in later), [0]]).astype(np.int32)
+        # the blocks on and below the diagonal, by the place of the node that is eliminated first, and where its begin
+        row, column = self.place[3 * self.owners], self.place[3 * self.neighbours]
+        self._lower = np.flatnonzero(row <= column)
+        self._lower = self._lower[np.argsort(row[self._lower], kind="stable")]
+        self._begin = np.searchsorted(row[self._lower], 3 * np.arange(count + 1))
 
     def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Numbers of the blocks of the nodes ``row`` and ``column`` (same shape); -1 where there is none."""
@@ -90,26 +84,20 @@ class Order:
         at = np.searchsorted(self._keys, key)
         return np.where(self._keys[np.minimum(at, len(self._keys) - 1)] == key, at, -1).astype(np.int32)
 
-    def walk(self, values: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """The fronts of the matrix with the blocks ``values`` (b, 3, 3) [N/m], children first.
-
-        Yields:
-            Number of the front; its matrix (p + q, p + q), of which only the lower triangle means anything, with its
-            own p rows first; and where its update (q, q) must be written before the next front is asked for, its lower
-            triangle at least.
-        """
-        work, stack = np.zeros(self._wide**2), np.empty(self._room)  # zeros: what lies above the diagonal is finite
-        arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
-            self._at, *self._lists, self.start, self.neighbours, values, np.full(len(self.start) - 1, -1, np.int32),
-            work, stack)]
-        for f, (p, q) in enumerate(self.tables[:, :2].tolist()):
-            wp.launch(_gather_kernel(), dim=1, device="cpu", inputs=[f, *arrays])
-            dense = work[:(p + q)**2].reshape(p + q, p + q)
-            update = stack[self._at[f, 3]:self._at[f, 3] + q * q].reshape(q, q)
-            if p:
-                yield f, dense, update
-            else:  # no edges connect the halves
-                update[:] = dense
+    def front(self, f: int, values: np.ndarray, updates: dict[int, np.ndarray]) -> np.ndarray:
+        """The matrix (p + q, p + q) of a front, of which only the lower triangle means anything, with its own p rows
+        first: from the blocks ``values`` (b, 3, 3) [N/m] and the ``updates`` of its children, which it takes away."""
+        p, q, slot, _, at = self.tables[f].tolist()
+        mine, out = np.concatenate([np.arange(slot, slot + p), self.below[at:at + q]]), np.zeros((p + q, p + q))
+        some = self._lower[self._begin[slot // 3]:self._begin[(slot + p) // 3]]
+        row = np.searchsorted(mine, self.place[3 * self.neighbours[some]]) // 3
+        column = (self.place[3 * self.owners[some]] - slot) // 3
+        out.reshape((len(mine) // 3, 3) * 2)[row, :, column] = values[some].mT
+        for child in self._children[f]:
+            _, q, _, _, at = self.tables[child].tolist()
+            to = np.searchsorted(mine, self.below[at:at + q]).astype(np.int32)
+            wp.launch(_add_update, dim=q, device="cpu", inputs=[to, updates.pop(child), out])
+        return out
 
 
 class Cholesky:
@@ -131,8 +119,12 @@ class Cholesky:
         diagonal.reshape(-1, 3)[order.owners[on]] = np.diagonal(values[on], axis1=1, axis2=2)
         least = np.empty_like(diagonal)
         least[order.place] = _LOOSE * diagonal
-        for f, dense, update in order.walk(values):
-            p, q, slot, first, _ = order.tables[f].tolist()
+        updates: dict[int, np.ndarray] = {}
+        for f, (p, q, slot, first, _) in enumerate(order.tables.tolist()):
+            dense = order.front(f, values, updates)
+            if not p:  # no edges connect the halves
+                updates[f] = dense
+                continue
             lower, fault = lapack.dpotrf(dense[:p, :p], lower=True)
             if fault or (np.diag(lower)**2 < least[slot:slot + p]).any():
                 raise MeshError(NOT_DEFINITE)
@@ -142,10 +134,9 @@ class Cholesky:
             gain = ties @ inverse
             panel = panels[first:first + (p + q) * p].reshape(p + q, p)
             panel[:p], panel[p:] = inverse, gain
+            updates[f] = update = dense[p:, p:]
             for end in range(_STRIP, q + _STRIP, _STRIP):  # only the lower triangle is read
-                rows = update[end - _STRIP:end, :end]
-                np.matmul(gain[end - _STRIP:end], ties[:end].T, out=rows)
-                np.subtract(dense[p + end - _STRIP:p + end, p:p + end], rows, out=rows)
+                update[end - _STRIP:end, :end] -= gain[end - _STRIP:end] @ ties[:end].T
         self._size, self._fronts = len(order.place), len(order.tables)
         self._arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
             order.tables, order.below, order.place, panels)]
@@ -163,9 +154,23 @@ class Cholesky:
         return out
 
 
+@wp.kernel(module="vsfsim_cholesky", enable_backward=False)
+def _add_update(
+    to: wp.array(dtype=wp.int32),
+    # state in
+    update_in: wp.array2d(dtype=wp.float64),
+    # state out
+    front: wp.array2d(dtype=wp.float64),
+):
+    # of a child, at the rows and columns ``to`` of its parent
+    i = wp.tid()
+    for j in range(i + 1):
+        front[to[i], to[j]] = front[to[i], to[j]] + update_in[i, j]
+
+
 def factor_kernels() -> list[Any]:
     """One kernel of each module that a factor is made and applied with, on the host."""
-    kernels = [_gather_kernel(), _solve_kernel(1, False)]
+    kernels = [_add_update, _solve_kernel(1, False)]
     ON_THE_HOST.update(kernel.module.name for kernel in kernels)
     return kernels
 
@@ -179,60 +184,6 @@ def blocks_of(matrix: sp.spmatrix) -> sp.bsr_matrix:
 
 def _unknowns(nodes: np.ndarray) -> np.ndarray:
     return (3 * nodes[:, None] + np.arange(3)).ravel()
-
-
-# A front's lower triangle: the matrix's rows of its own nodes, and the lower triangles of its children's updates. The
-# nodes of a child stand in the same order in its parent.
-_GATHER = """
-    const long long* t = ends.data + 4 * f;
-    const int* mine = own.data + t[0]; const int* under = below.data + t[1]; const int* child = children.data + t[2];
-    const int p = t[4] - t[0], q = t[5] - t[1], some = t[6] - t[2];
-    int* local = locals.data;
-    double* front = work.data;
-    const long long w = 3 * (p + q);
-    for (int i = 0; i < p; ++i) local[mine[i]] = i;
-    for (int i = 0; i < q; ++i) local[under[i]] = p + i;
-    for (long long i = 0; i < w; ++i) for (long long j = 0; j <= i; ++j) front[i * w + j] = 0.0;
-    for (int i = 0; i < p; ++i) for (int k = starts.data[mine[i]]; k < starts.data[mine[i] + 1]; ++k) {
-        const int j = local[neighbours.data[k]];
-        if (j < i) continue;  // eliminated before, or its transpose stands there
-        const double* v = values.data + 9LL * k;
-        for (int a = 0; a < 3; ++a) for (int b = 0; b < 3; ++b) front[(3 * j + a) * w + 3 * i + b] = v[3 * b + a];
-    }
-    for (int c = 0; c < some; ++c) {
-        const long long* s = ends.data + 4 * child[c];
-        const int* nodes = below.data + s[1];
-        const int m = s[5] - s[1];
-        const double* update = stack.data + s[3];
-        for (int i = 0; i < m; ++i) for (int a = 0; a < 3; ++a) {
-            double* row = front + (3 * local[nodes[i]] + a) * w;
-            const double* from = update + (3LL * i + a) * 3 * m;
-            for (int j = 0; j <= i; ++j) {
-                double* to = row + 3 * local[nodes[j]];
-                to[0] += from[3 * j]; to[1] += from[3 * j + 1]; to[2] += from[3 * j + 2];
-            }
-        }
-    }
-    for (int i = 0; i < p; ++i) local[mine[i]] = -1;
-    for (int i = 0; i < q; ++i) local[under[i]] = -1;
-"""
-
-
-@functools.cache
-def _gather_kernel() -> Any:
-    """The kernel that adds up the matrix of a front."""
-    long, whole, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.float64))
-
-    def gather(f: int, ends: long, own: whole, below: whole, children: whole, starts: whole, neighbours: whole,
-               values: double, locals: whole, work: double, stack: double): ...
-
-    native = wp.func_native(_GATHER)(gather)
-
-    def run(f: int, ends: long, own: whole, below: whole, children: whole, starts: whole, neighbours: whole,
-            values: double, locals: whole, work: double, stack: double):
-        native(f, ends, own, below, children, starts, neighbours, values, locals, work, stack)
-
-    return wp.Kernel(run, key="cholesky_gather")
 
 
 # Two sweeps through the blocks for some right-hand sides at once, eight numbers of a row at a time for a single one.

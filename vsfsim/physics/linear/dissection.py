@@ -7,8 +7,6 @@ eliminated after both (George 1973).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order, maximum_bipartite_matching
@@ -17,24 +15,17 @@ _LEAF = 12  # nodes that are not cut any further: a dense front of 36 unknowns
 _LARGE = 60  # nodes above which all axes are tried: there cuts cost most
 
 
-@dataclass(frozen=True)
-class Front:
-    """Nodes that are eliminated together."""
-
-    own: np.ndarray
-    """The nodes (p,)."""
-    boundary: np.ndarray
-    """Later nodes that they are connected to by then (q,), in the order of elimination."""
-    children: tuple[int, ...]
-    """Numbers of the fronts that are eliminated before."""
-
-
-def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
-    """Fronts of a graph in an order in which children come before their parents.
+def fronts(graph: sp.csr_matrix,
+           points: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray], list[tuple[int, ...]]]:
+    """Fronts of a graph, nodes that are eliminated together, in an order in which children come before their parents.
 
     Args:
         graph: symmetric (n, n), nonzero where two nodes are connected.
         points: places of the nodes (n, 3), which only guide the cuts.
+
+    Returns:
+        Of each front its nodes (p,); the later nodes that they are connected to by then (q,), in the order of
+        elimination; and the numbers of its children, the fronts that are eliminated before.
     """
     graph = graph.tocsr()
     count = graph.shape[0]
@@ -53,18 +44,15 @@ def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
         return len(own) - 1
 
     cut(np.arange(count))
+    order = np.concatenate(own)
     rank = np.empty(count, np.int64)
-    rank[np.concatenate(own)] = np.arange(count)
-    out: list[Front] = []
+    rank[order] = np.arange(count)
+    boundary: list[np.ndarray] = []
     for mine, below in zip(own, children, strict=True):
-        last = rank[mine].max() if len(mine) else -1
-        tied = [graph.indices[graph.indptr[i]:graph.indptr[i + 1]] for i in mine] + [out[c].boundary for c in below]
+        tied = [graph.indices[graph.indptr[i]:graph.indptr[i + 1]] for i in mine] + [boundary[c] for c in below]
         later = np.unique(rank[np.concatenate(tied)]) if tied else np.zeros(0, np.int64)
-        mine_ranks = np.sort(rank[mine])
-        later = np.setdiff1d(later[later > last] if len(mine) else later, mine_ranks)
-        order = np.concatenate(own)
-        out.append(Front(mine, order[later], below))
-    return out
+        boundary.append(order[later[later > rank[mine].max(initial=-1)]])
+    return own, boundary, children
 
 
 def _halves(graph: sp.csr_matrix, points: np.ndarray,

@@ -11,7 +11,6 @@ import functools
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +28,7 @@ DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a mome
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
 
+_COLUMNS_BYTES = 512e6  # for columns of the inverse, of the touches of one run, and half of what a factor keeps
 _TRUST = 1e-3  # relative error in the energy norm up to which an inverse in single precision serves as an exact one
 
 
@@ -55,8 +55,6 @@ class RestFactor:
 
     size: int
     """Degrees of freedom, 3 n."""
-    columns_bytes: float = 512e6
-    """Memory for columns of the inverse, of the touches of one run, and half of what is kept of them here [byte]."""
 
     def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, points: np.ndarray,
                  coupling: tuple[np.ndarray, float] | None = None):
@@ -72,10 +70,6 @@ class RestFactor:
     def order(self) -> Order:
         """The order of elimination of this body's mesh."""
         return Order(self._blocks, self._points)
-
-    def ready(self) -> None:
-        """Factorise now, not at the first use."""
-        self._solver  # noqa: B018  made here
 
     @property
     def real(self) -> type:
@@ -169,7 +163,7 @@ class RestFactor:
             right[dof, np.arange(len(dof))] = self.free[dof]
             self._columns.update(zip(part, self.solve(right).T.reshape(-1, 3, self.size).copy(), strict=True))
         out = np.concatenate([np.zeros((0, self.size)), *(self._columns[i] for i in nodes.tolist())])
-        while 24.0 * self.size * len(self._columns) > 2.0 * self.columns_bytes:
+        while 24.0 * self.size * len(self._columns) > 2.0 * _COLUMNS_BYTES:
             del self._columns[next(iter(self._columns))]
         return out
 
@@ -213,23 +207,6 @@ class RestFactor:
         return self._moved
 
 
-class Response(Protocol):
-    """How the body at rest responds to forces, for the touches of one run."""
-
-    resident: bool
-    """Whether all is done on a GPU, without the host."""
-
-    def solve(self, right: torch.Tensor) -> torch.Tensor:
-        """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
-
-    def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
-        """Compliance (k, m, m) [m/N] between the degrees of freedom ``dof`` (k, m) of the patches of ``touches`` (k,);
-        0 where held and at padding."""
-
-    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
-
-
 def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
     """The response of a body to forces on given patches, to single precision: a preconditioner.
 
@@ -239,8 +216,8 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
         device: Warp device.
     """
     if device != "cpu" and factor.size <= DENSE:
-        return _Dense(factor.dense(device), dof)
-    return _Sparse(factor, dof, device)
+        return Dense(factor.dense(device), dof)
+    return Sparse(factor, dof, device)
 
 
 def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
@@ -256,11 +233,14 @@ def _times(inverse: torch.Tensor, right: np.ndarray) -> np.ndarray:
     return out.to(torch.float64).cpu().numpy()
 
 
-class _Dense:
-    """Products with the dense inverse (3 n, 3 n) [m/N] on a GPU; forces on patches multiply only the columns of all
+class Dense:
+    """How the body at rest responds to forces, for the touches of one run: all of it on a GPU, without the host.
+
+    Products with the dense inverse (3 n, 3 n) [m/N] on a GPU; forces on patches multiply only the columns of all
     patches, whose degrees of freedom are ``dof`` (B, 3 s), -1 at padding."""
 
     resident = True
+    """Whether all is done on a GPU, without the host."""
 
     def __init__(self, inverse: torch.Tensor, dof: torch.Tensor):
         self._inverse, self._dof = inverse, dof
@@ -271,18 +251,19 @@ class _Dense:
         self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], 0)
 
     def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
-        """See `Response`."""
+        """Compliance (k, m, m) [m/N] between the degrees of freedom ``dof`` (k, m) of the patches of ``touches`` (k,);
+        0 where held and at padding."""
         at = self._dof[touches].gather(1, dof)
         mask, index = (at >= 0).to(torch.float64), at.clamp(min=0)
         table = self._inverse[index[:, :, None], index[:, None, :]].to(mask.dtype) * mask[:, :, None] * mask[:, None, :]
         return 0.5 * (table + table.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
-        """See `Response`."""
+        """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
         return (self._inverse @ right.to(self._inverse.dtype)).to(right.dtype)
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """See `Response`."""
+        """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
         if not self._columns.shape[1]:  # no touch reaches anything
             return torch.zeros((len(self._inverse), len(touches)), dtype=force.dtype, device=force.device)
         pushed = self._columns.new_zeros((self._columns.shape[1], len(touches)))
@@ -290,8 +271,9 @@ class _Dense:
         return (self._columns @ pushed).to(force.dtype)
 
 
-class _Sparse:
-    """Solves on the host; for few touches also the columns of the inverse under the nodes that are touched."""
+class Sparse:
+    """As `Dense`, by solves on the host; for few touches also the columns of the inverse under the nodes that are
+    touched."""
 
     resident = False
 
@@ -299,7 +281,7 @@ class _Sparse:
         self._factor, self._dof = factor, dof
         self._nodes = dof.cpu().numpy()[:, ::3] // 3  # -1 at padding
         batch, width = dof.shape
-        few = batch <= _FEW and 8.0 * batch * width * factor.size <= factor.columns_bytes
+        few = batch <= _FEW and 8.0 * batch * width * factor.size <= _COLUMNS_BYTES
         real = torch.float64 if factor.real is np.float64 else torch.float32  # factorised here, before a frame's limit
         self._whole = torch.zeros((batch, width, factor.size), device=device, dtype=real) if few else None
         self._compliance = torch.zeros((batch, width, width), dtype=torch.float64, device=device)
@@ -344,3 +326,6 @@ class _Sparse:
         force = force.to(columns.dtype)
         used = force.nonzero()[:, 0]
         return force @ columns if len(used) > _SPARSE * len(force) else force[used] @ columns[used]
+
+
+Response = Dense | Sparse

@@ -7,7 +7,6 @@ import torch
 
 from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.mesh.resolved import BARE, ROUND, SHARE, corner_det_f, mesh_error, rotation
 from vsfsim.physics.solve.elasticity import LinearElasticity
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
@@ -15,10 +14,6 @@ from vsfsim.physics.solve.newton import Equilibrium, State
 
 Rows = dict[str, np.ndarray]
 """The values of one frame by the fields of `Frames`, (B, ...) each."""
-
-# wrong although the forces may balance; at the time limit the last state was not compared with the bodies
-_FINAL = (Reason.TIME, Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED, Reason.INTRUSION, Reason.CRUSHED,
-          Reason.PATH, Reason.SNAPPED)
 
 
 def report(balance: Equilibrium, state: State) -> Rows:
@@ -40,7 +35,7 @@ def report(balance: Equilibrium, state: State) -> Rows:
     values = {
         "force": -on_object, "reaction": held, "residual": state["measure"],
         "body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every),
-        "force_balance": unbalanced / largest, "min_det_f": balance.least_det(every),
+        "force_balance": unbalanced / largest, "min_det_f": balance.elasticity.det(every, balance.u),
         "energy": state["energy"] + contact.local_energy(every),
         "penetration": contact.penetration(every), "slipping": contact.slipping(every),
     }
@@ -51,16 +46,8 @@ def report(balance: Equilibrium, state: State) -> Rows:
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
     reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
-    if not contact.has_friction:
-        # a step that stalled at the floor of rounding may still be good enough, since the path does not matter
-        final = np.isin(reason, _FINAL)
-        reason[(out["residual"] <= accept) & ~final] = Reason.NONE
-    wrong = {Reason.WRONG_SIDE: state["wrong_side"] > 0, Reason.INTRUSION: contact.intruded(every)}
-    if isinstance(contact, RigidContact) and contact.springs is not None:
-        wrong[Reason.MOUNT] = contact.springs.unbalanced(on_object)
-    wrong[Reason.INVERTED], wrong[Reason.CRUSHED] = state["det"] <= 0.0, state["det"] < CRUSHED
-    for why, where in wrong.items():
-        reason[where.cpu().numpy() & (reason == Reason.NONE)] = why
+    if contact.springs is not None:
+        reason[contact.springs.unbalanced(on_object).cpu().numpy() & (reason == Reason.NONE)] = Reason.MOUNT
     out["reason"], out["converged"] = reason, reason == Reason.NONE
     out["unbalanced_force"] = np.where(out["converged"][:, None], 0.0, out["force"])
     for name in OF_AN_EQUILIBRIUM:

@@ -5,7 +5,6 @@ every run, which atomics do not guarantee.
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import torch
 import warp as wp
 
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.linear.cholesky import Order, blocks_of
+from vsfsim.physics.linear.cholesky import Order
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
@@ -21,63 +20,57 @@ _TOGETHER = 1024  # elements whose tangents are made at once
 _CHUNKS = 64  # partial sums of a touch: enough threads for a GPU, and the same sum on every device and in every batch
 
 
-@functools.cache
-def kernels() -> Any:
-    """The kernels that all elements share."""
-    module = "vsfsim_elasticity"
+@wp.kernel(module="vsfsim_elasticity", enable_backward=False)
+def gather(
+    # model
+    start: wp.array(dtype=wp.int32),
+    slot: wp.array(dtype=wp.int32),
+    free: wp.array(dtype=real),
+    index: wp.array(dtype=wp.int32),
+    compact: int,  # 1: column k of both arrays, 0: column index[k]
+    # state in
+    element_in: wp.array3d(dtype=real),
+    # state out
+    node_out: wp.array2d(dtype=real),
+):
+    i, k = wp.tid()
+    b = k
+    if compact == 0:
+        b = index[k]
+    total = vec3()
+    for s in range(start[i], start[i + 1]):
+        at = slot[s]
+        total += vec3(element_in[at, 0, b], element_in[at, 1, b], element_in[at, 2, b])
+    for c in range(3):
+        node_out[3 * i + c, b] = total[c] * free[3 * i + c]
 
-    @wp.kernel(module=module, enable_backward=False)
-    def gather(
-        # model
-        start: wp.array(dtype=wp.int32),
-        slot: wp.array(dtype=wp.int32),
-        free: wp.array(dtype=real),
-        index: wp.array(dtype=wp.int32),
-        compact: int,  # 1: column k of both arrays, 0: column index[k]
-        # state in
-        element_in: wp.array3d(dtype=real),
-        # state out
-        node_out: wp.array2d(dtype=real),
-    ):
-        i, k = wp.tid()
-        b = k
-        if compact == 0:
-            b = index[k]
-        total = vec3()
-        for s in range(start[i], start[i + 1]):
-            at = slot[s]
-            total += vec3(element_in[at, 0, b], element_in[at, 1, b], element_in[at, 2, b])
-        for c in range(3):
-            node_out[3 * i + c, b] = total[c] * free[3 * i + c]
 
-    @wp.kernel(module=module, enable_backward=False)
-    def add(
-        # model
-        index: wp.array(dtype=wp.int32),
-        compact: int,  # as in `gather`
-        rows: int,  # that one sum is of
-        # state in
-        value_in: wp.array2d(dtype=real),
-        # state out
-        sum_out: wp.array2d(dtype=real),
-    ):
-        p, k = wp.tid()
-        b = k
-        if compact == 0:
-            b = index[k]
-        total = real(0.0)
-        for t in range(p * rows, wp.min((p + 1) * rows, value_in.shape[0])):
-            total += value_in[t, b]
-        sum_out[p, b] = total
-
-    return SimpleNamespace(gather=gather, add=add)
+@wp.kernel(module="vsfsim_elasticity", enable_backward=False)
+def add(
+    # model
+    index: wp.array(dtype=wp.int32),
+    compact: int,  # as in `gather`
+    rows: int,  # that one sum is of
+    # state in
+    value_in: wp.array2d(dtype=real),
+    # state out
+    sum_out: wp.array2d(dtype=real),
+):
+    p, k = wp.tid()
+    b = k
+    if compact == 0:
+        b = index[k]
+    total = real(0.0)
+    for t in range(p * rows, wp.min((p + 1) * rows, value_in.shape[0])):
+        total += value_in[t, b]
+    sum_out[p, b] = total
 
 
 def _add(index: wp.array, compact: int, values: wp.array, parts: wp.array, out: wp.array) -> None:
     """Sums of ``values`` (m, B) over its rows -> ``out`` (B,), by way of ``parts`` (_CHUNKS, B); see `gather`."""
     whole = out.reshape((1, len(out)))
     for rows, given, found in ((-(-values.shape[0] // _CHUNKS), values, parts), (_CHUNKS, parts, whole)):
-        wp.launch(kernels().add, dim=(found.shape[0], len(index)), inputs=[index, compact, rows, given, found],
+        wp.launch(add, dim=(found.shape[0], len(index)), inputs=[index, compact, rows, given, found],
                   device=out.device)
 
 
@@ -178,7 +171,7 @@ class Elasticity:
     """Least det F (B,) [-]; likewise."""
 
     def __init__(self, model: Model, *, device: str):
-        self.device, self.kernels = device, kernels()
+        self.device = device
         self.blocks = model.blocks
         self._points = len(model.mesh.points)
         self._each = [(Collective if block.collective else Elements)(block, device) for block in self.blocks]
@@ -223,7 +216,7 @@ class Elasticity:
         return None if gas is None else gas.number
 
     def _gather(self, index: wp.array, free: wp.array, compact: int, out: wp.array) -> None:
-        wp.launch(self.kernels.gather, dim=(self._points, len(index)), device=self.device,
+        wp.launch(gather, dim=(self._points, len(index)), device=self.device,
                   inputs=[self._start, self._slot, free, index, compact, self._force, out])
 
     def forces(self, index: wp.array, u: wp.array) -> None:
@@ -236,10 +229,10 @@ class Elasticity:
         _add(index, 0, self._energies, self._parts, self.energy)
         wp.to_torch(self.least_det)[at] = wp.to_torch(self._dets)[:, at].amin(dim=0)
 
-    def det(self, index: wp.array, u: wp.array) -> torch.Tensor:
-        """The least det F that the elements have at displacements u (3 n, B) [m], of the touches ``index`` (k,) [-]."""
-        Elasticity.forces(self, index, u)
-        return wp.to_torch(self.least_det)[wp.to_torch(index).long()]
+    def det(self, touches: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        """The least det F that the elements have, of all ``touches`` (B,), at u (3 n, B) [m], where `forces` were
+        renewed (B,) [-]."""
+        return wp.to_torch(self.least_det).clone()
 
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
         """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it
@@ -298,10 +291,12 @@ class LinearElasticity(Elasticity):
         wp.to_torch(self.energy)[at] = 0.5 * (moved * force).sum(dim=0)
         wp.to_torch(self.least_det).index_fill_(0, at, 1.0)
 
-    def det(self, index: wp.array, u: wp.array) -> torch.Tensor:
-        """See `Elasticity`."""
-        out = super().det(index, u)
-        self.forces(index, u)
+    def det(self, touches: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        """See `Elasticity`; those of the elements' own law."""
+        index, at = wp.from_torch(touches.int()), wp.from_torch(u)
+        super().forces(index, at)
+        out = super().det(touches, u)
+        self.forces(index, at)
         return out
 
     def law_error(self, touches: torch.Tensor, u: torch.Tensor) -> np.ndarray:
@@ -342,9 +337,3 @@ class LinearElasticity(Elasticity):
     def multiply(self, index: wp.array, x: wp.array, out: wp.array) -> None:
         """See `Elasticity`."""
         wp.to_torch(out).copy_(self._times(wp.to_torch(x)) * self._held)
-
-    def add_matrices(self, touch: int, order: Order, values: np.ndarray) -> None:
-        """See `Elasticity`."""
-        blocks = blocks_of(self._factor.stiffness)
-        owners = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
-        values[order.find(owners, blocks.indices)] += blocks.data

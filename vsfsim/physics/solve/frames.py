@@ -11,36 +11,28 @@ import numpy as np
 class Reason(IntEnum):
     """Why a frame did not converge."""
 
-    NONE = 0
-    ITERATIONS = 1
-    TIME = 2
-    STALLED = 3
-    NOT_FINITE = 4
-    PATCH = 5
-    WRONG_SIDE = 6
-    INVERTED = 7
-    INTRUSION = 8
-    CRUSHED = 9
-    PATH = 10
-    SNAPPED = 11
-    ARM = 12
-    MOUNT = 13
+    text: str
+    """In words, for people and datasets."""
 
-    @property
-    def text(self) -> str:
-        """In words, for people and datasets."""
-        return ("", "the iteration limit was reached, halved steps included",
-                "the limit of the frame's processor time was reached",
-                "no step lowers the potential any more, and the forces do not balance",
-                "the state was not finite; the one before was kept",
-                "the contact patch kept growing", "the surface slipped through a body",
-                "an element is inside out (det F <= 0)",
-                "a body lies inside another where no contact point feels it",
-                "an element is compressed below a tenth of its volume (det F < 0.1)",
-                "the frame itself is in equilibrium, but the way to it was not followed from its start",
-                "the object snapped to another equilibrium, and which one depends on its motion",
-                "a joint of the arm was at its stop or a motor at its limit: its sensors do not read the contact",
-                "the spring of the mount and the contact do not balance")[self]
+    def __new__(cls, number: int, text: str) -> Reason:
+        out = int.__new__(cls, number)
+        out._value_, out.text = number, text
+        return out
+
+    NONE = 0, ""
+    ITERATIONS = 1, "the iteration limit was reached, halved steps included"
+    TIME = 2, "the limit of the frame's processor time was reached"
+    STALLED = 3, "no step lowers the potential any more, and the forces do not balance"
+    NOT_FINITE = 4, "the state was not finite; the one before was kept"
+    PATCH = 5, "the contact patch kept growing"
+    WRONG_SIDE = 6, "the surface slipped through a body"
+    INVERTED = 7, "an element is inside out (det F <= 0)"
+    INTRUSION = 8, "a body lies inside another where no contact point feels it"
+    CRUSHED = 9, "an element is compressed below a tenth of its volume (det F < 0.1)"
+    PATH = 10, "the frame itself is in equilibrium, but the way to it was not followed from its start"
+    SNAPPED = 11, "the object snapped to another equilibrium, and which one depends on its motion"
+    ARM = 12, "a joint of the arm was at its stop or a motor at its limit: its sensors do not read the contact"
+    MOUNT = 13, "the spring of the mount and the contact do not balance"
 
 
 @dataclass(frozen=True)
@@ -52,12 +44,8 @@ class SolverOptions:
     the force balance."""
     newton: int = 40
     """Newton iterations of a step."""
-    cg: int = 150
-    """Conjugate-gradient iterations of a linear system."""
     cg_tolerance: float = 0.03
     """Relative residual of a linear system near the solution [-]."""
-    cg_far: float = 10.0
-    """Factor on it far from the solution, where Newton's linear model is no more accurate [-]."""
     local_indentation: bool = False
     """Whether the indentation under balls and capsules that the mesh is too coarse for is a compliance of the contact
     points, see `contact.local_indentation`."""
@@ -72,11 +60,6 @@ class SolverOptions:
     """How often a failed step is halved."""
     seconds: float = 120.0
     """Processor time that a frame may take for each touch [s], see `clock.now`; a batch has the sum."""
-
-    @property
-    def indentation(self) -> dict[str, bool]:
-        """What contact with rigid bodies takes of these."""
-        return {"local": self.local_indentation, "by_place": self.indentation_by_place}
 
 
 OF_AN_EQUILIBRIUM = ("force", "body_force", "body_moment", "reaction", "energy")

@@ -13,18 +13,9 @@ from vsfsim.physics.linear.cholesky import factor_kernels
 from vsfsim.physics.solve import elasticity
 
 
-def solver_kernels(elements: Sequence[tuple[str, str]], law: ContactLaw = PENALTY) -> list[Any]:
-    """One kernel of each module that the solver launches for a body of ``elements`` of these kinds and laws, see
-    `tiers.elements` and `block.elements_of`, and of a law of contact."""
-    solid = factor_kernels() if any(law for _, law in elements) else []
-    return [rigid_kernels.kernels(law).evaluate, *_body_kernels(elements), *solid]
-
-
-def coupled_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
-    """As `solver_kernels`, for a sensor and an object that touch."""
-    return [pair_kernels.kernels().evaluate, *_body_kernels(elements)]
-
-
-def _body_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
-    return [*(kernels_of(kind, law).forces for kind, law in dict.fromkeys(elements)), elasticity.kernels().gather,
-            intrusion.nearest_faces]
+def solver_kernels(elements: Sequence[tuple[str, str]], law: ContactLaw | None = PENALTY) -> list[Any]:
+    """One kernel of each module that the solver launches for bodies of ``elements`` of these kinds and laws, see
+    `tiers.elements` and `block.elements_of`, and for a law of contact with rigid bodies; None for a soft sensor's."""
+    contact = pair_kernels.KERNELS if law is None else rigid_kernels.kernels(law)
+    return [contact.evaluate, *(kernels_of(*each).forces for each in dict.fromkeys(elements)), elasticity.gather,
+            intrusion.nearest_faces, *factor_kernels()]

@@ -85,8 +85,7 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int, deadline: float = float("inf"), room: Room | None = None,
-          ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+          iterations: int, deadline: float, room: Room) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0, the residual measured by its length.
 
     Args:
@@ -103,7 +102,7 @@ def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch
         x (3 n, k), iterations of each column (k,), and which met negative curvature (k,) bool: such a column keeps its
         last x, or the first direction.
     """
-    room, which = room or Room(), None
+    which = None
     right, tolerance = room.take("right", right), room.take("tolerance", tolerance)
     # of the columns that are left: x, the iterations, and which met negative curvature
     x, r, p = (room.new(name, right) for name in "xrp")
@@ -169,7 +168,7 @@ def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch
 
 
 def gmres(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor, iterations: int,
-          deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
+          deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0 by generalised minimal residuals (Saad and Schultz 1986), preconditioned from
     the right, for matrices that are not symmetric: min |b - A M^-1 y| over the Krylov space of A M^-1, x = M^-1 y.
     Arguments as `conjugate_gradients`.

@@ -32,6 +32,9 @@ from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 # part of the way to the first inner body of a rigid body that a step may take, and the least part of a step
 _SHORT_OF, _LEAST = 0.8, 1e-3
+# conjugate gradients of a linear system, and the factor on their tolerance far from the solution, where Newton's linear
+# model is no more accurate
+_CG, _FAR = 150, 10.0
 State = dict[str, torch.Tensor]
 """Forces (internal, contact, residual), energies (energy, potential), least det F (det), points on the wrong side of a
 body (wrong_side) and measure of some touches, one column or entry each."""
@@ -96,10 +99,6 @@ class Equilibrium:
     def _find(self, columns: torch.Tensor) -> State:
         self.elasticity.forces(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
         return self._again(columns)
-
-    def least_det(self, columns: torch.Tensor) -> torch.Tensor:
-        """The least det F that the elements have, of ``columns`` (k,) at the present displacements (k,) [-]."""
-        return self.elasticity.det(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
 
     def contact_force(self) -> torch.Tensor:
         """Contact forces (3 n, B) [N] that the last evaluation found, of all touches."""
@@ -235,10 +234,10 @@ class Equilibrium:
         """Directions of descent (3 n, k) [m], the iterations that they took (k,), and which met negative curvature (k,)
         bool: these are found with the projected tangent, without the geometric term of the contact."""
         opt = self.options
-        solve = functools.partial(newton_direction, self.elasticity, self.contact, iterations=opt.cg,
+        solve = functools.partial(newton_direction, self.elasticity, self.contact, iterations=_CG,
                                   deadline=self._deadline, factors=self.factors)
         # far from the solution, where Newton's linear model is no more accurate, a looser solution serves
-        loose = torch.full_like(residual[0], opt.cg_tolerance * opt.cg_far)
+        loose = torch.full_like(residual[0], opt.cg_tolerance * _FAR)
         direction, *found = solve(columns, residual, near=near, room=self._room,
                                   tolerance=torch.where(near, opt.cg_tolerance, loose))
         steps, curved = torch.stack([found[0], found[1].long()]).cpu().numpy()
@@ -312,7 +311,7 @@ class Equilibrium:
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
-                     deadline: float = float("inf"), factors: TangentFactors | None = None,
+                     factors: TangentFactors, deadline: float = float("inf"),
                      room: Callable[[str, torch.Tensor], Room] = lambda *_: Room(),
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by conjugate gradients, or by `gmres` where the contact is not symmetric.
@@ -325,8 +324,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
-        deadline: see `krylov`.
         factors: of deformed states, which precondition the touches that have one; they note the iterations.
+        deadline: see `krylov`.
         room: where the iterations of such a name are made for some columns.
 
     Returns:
@@ -334,7 +333,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         `gmres`.
     """
     response = contact.response
-    own_factor = [None] * len(columns) if factors is None else factors.of(columns)
+    own_factor = factors.of(columns)
     touched = response.resident or bool(contact.touches(columns).any())
     # a factor of a deformed state has the contact in it; the one at rest is corrected for it
     stiffness, block = contact.stiffness(columns, near, block=touched and None in own_factor)
@@ -384,7 +383,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool)
     direction, steps, curved = conjugate_gradients(
         multiply, precondition, residual, tolerance=tolerance, iterations=iterations, deadline=deadline, room=here)
-    if factors is not None and factors.serves:
+    if factors.serves:
         factors.count(columns, steps)
     return direction, steps, curved
 

@@ -17,7 +17,7 @@ from vsfsim.physics import clock
 from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.linear.cholesky import Cholesky, Order
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.elasticity import Elasticity
+from vsfsim.physics.solve.elasticity import Elasticity, LinearElasticity
 
 _USUAL = 12  # conjugate gradients of a linear system that are no reason for another factor
 _WORK = 10.0  # `Order.work` for each iteration that a factor costs, measured on bodies of 1,500 to 23,000 nodes
@@ -25,8 +25,8 @@ _BYTES = 2e9  # of the factors of all touches
 
 
 class TangentFactors:
-    """The factors of the touches of one run; there are none on a GPU, or under other contact than that of rigid bodies
-    with a solid.
+    """The factors of the touches of one run; there are none on a GPU, under other contact than that of rigid bodies
+    with a solid, or at small strain, where that of the rest state is the tangent's own.
 
     Args:
         model: the body.
@@ -36,7 +36,7 @@ class TangentFactors:
 
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact):
         self._model, self._elasticity, self._contact = model, elasticity, contact
-        self.serves = (contact.device == "cpu" and contact.solid
+        self.serves = (contact.device == "cpu" and contact.solid and not isinstance(elasticity, LinearElasticity)
                        and not any(block.collective for block in model.blocks))
         self.forget()
 

@@ -9,7 +9,6 @@ remembers where points stuck.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -80,6 +79,8 @@ class Solver:
         self._floor = model.least_force()
         self._near: list[Known] = []  # equilibria that frames may begin from
 
+    @torch_threads(1)  # one, so that the bits do not depend on the machine's load
+    @torch.no_grad()
     def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, mount: Mount | None = None,
             keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the bodies through all frames.
@@ -97,14 +98,8 @@ class Solver:
         Returns:
             The frames; those that failed are marked.
         """
-        if poses.ndim == 4:
-            poses = poses[:, :, None]
-        with torch_threads(1), torch.no_grad():  # one, so that the bits do not depend on the machine's load
-            return self._run(poses, start, mount, keep, progress)
-
-    def _run(self, poses: np.ndarray, start: np.ndarray | None, mount: Mount | None, keep: bool,
-             progress: Callable[[int], None] | None) -> Frames:
-        began, (frames, batch), self._mount = time.perf_counter(), poses.shape[:2], mount
+        poses = poses[:, :, None] if poses.ndim == 4 else poses
+        (frames, batch), self._mount, clocks = poses.shape[:2], mount, [time.perf_counter()]
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
@@ -121,13 +116,11 @@ class Solver:
             out = self._frame(poses[t], clock.now() + self.options.seconds * batch)
             if keep:
                 self._record(out["converged"])
-            out["seconds"] = np.full(batch, -began + (began := time.perf_counter()))
             rows.append(out)
+            clocks.append(time.perf_counter())
             if progress is not None:
                 progress(t + 1)
-        data = {f.name: np.stack([row[f.name] for row in rows]) for f in dataclasses.fields(Frames)}
-        data["seconds"] = data["seconds"][:, 0]
-        return Frames(**data)
+        return Frames(**{name: np.stack([row[name] for row in rows]) for name in rows[0]}, seconds=np.diff(clocks))
 
     def _frame(self, pose: np.ndarray, deadline: float) -> Rows:
         """Bring all touches into equilibrium with the bodies at ``pose`` (B, K, 4, 4), and look at what was found."""
@@ -166,7 +159,8 @@ class Solver:
             way = increments.pieces(first, poses[0], increments.stride(bodies, thickness), bodies.reaches)
             poses = np.stack([*way, *poses])
         contact = RigidContact(model, bodies, self.friction, poses, device=self.device, mount=self._mount,
-                               linear=self.linear, law=self._law, **self.options.indentation)
+                               linear=self.linear, law=self._law, local=self.options.local_indentation,
+                               by_place=self.options.indentation_by_place)
         thinnest = increments.thinnest(model, [patch.faces for patch in contact.patches])
         self._stride = increments.stride(bodies, min(thickness, thinnest), friction=contact.has_friction)
         self._inside = increments.inside(bodies, model, start, self.device)
@@ -204,11 +198,6 @@ class Solver:
 
     # ------------------------------------------------------------------------------------------ one frame
 
-    def _known(self, pose: np.ndarray) -> Known | None:
-        """The equilibrium at this very ``pose`` (B, K, 4, 4) if it is known and does not depend on the way."""
-        known = [] if self.contact.has_friction else self._equilibria
-        return next((k for k in reversed(known) if np.array_equal(k.pose, pose)), None)
-
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor) -> None:
         """Begin ``columns`` at the equilibrium of this very ``pose`` (B, K, 4, 4) if it is known (without friction
         unloading retraces loading), else at the last two equilibria, ``begin`` (3 n, B) at ``before`` and an older one,
@@ -217,8 +206,9 @@ class Solver:
         contact.begin_step(before, begin)
         contact.move(pose, columns)
         balance.u[:, columns] = begin[:, columns]
-        if (there := self._known(pose)) is not None:
-            balance.u[:, columns] = there.u[:, columns]
+        there = [k.u for k in known if np.array_equal(k.pose, pose)]
+        if there and not contact.has_friction:
+            balance.u[:, columns] = there[-1][:, columns]
             return
         state = {key: value.clone() for key, value in balance.evaluate(columns).items() if value.dim() == 1}
         older = [k for k in known[-2:] if not np.array_equal(k.pose, before)]

@@ -58,7 +58,7 @@ class PairContact(Contact):
     def __init__(self, model: Model, sensor: Model, factor: PairFactors, friction: float, poses: np.ndarray, *,
                  device: str, stride: float):
         self.device, self.batch, self.has_friction, self.kernels = (
-            device, poses.shape[1], friction > 0.0, kernels.kernels())
+            device, poses.shape[1], friction > 0.0, kernels.KERNELS)
         self._margin, self._reach = _MARGIN * stride, farthest(sensor)
         reach, own = reachable(model, sensor, poses), sensor.mesh.points
         nodes = [np.unique(model.mesh.faces[f]) for f in reach]
@@ -119,7 +119,7 @@ class PairContact(Contact):
     def _find_candidates(self, within: float, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
         """Find the faces no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions.
         The touches ``blend`` (j,) also get new normals."""
-        self._launch(self.kernels.search, columns, within)
+        self._launch(kernels.search, columns, within)
         for side in self.sides if len(blend) else ():
             side.tensors["smooth"][blend] = side.blended(self.x)[blend]
 
@@ -230,8 +230,6 @@ class PairFactors:
     Args:
         bodies: the factors of both.
     """
-
-    columns_bytes = RestFactor.columns_bytes
 
     def __init__(self, *bodies: RestFactor):
         self._bodies, self.free = bodies, np.concatenate([body.free for body in bodies])

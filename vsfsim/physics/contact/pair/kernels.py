@@ -17,7 +17,6 @@ itself. The change of n with the deformation is left out of the stiffness.
 Positions and forces are in the world; `pair.contact` rotates the sensor's into its own frame.
 """
 
-import functools
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,71 +32,24 @@ from vsfsim.physics.runtime import mat33, real, vec3
 CANDIDATES = 12
 """Number of faces of the other surface that one node may meet in one step."""
 _MODULE = "vsfsim_pair_contact"
+_most, _vec_most = wp.constant(CANDIDATES), wp.types.vector(length=CANDIDATES, dtype=real)
 
 
-@functools.cache
-def kernels() -> Any:
-    """The kernels of the pair and their types. ``Points`` are the f nodes of one surface, with one point each, and the
-    F faces of the other one that they may meet."""
-    vec_most = wp.types.vector(length=CANDIDATES, dtype=real)
-    most = wp.constant(CANDIDATES)
+class Surface:
+    """The F faces of the other surface, of B touches, beside what `Points` says of the f nodes of one surface."""
 
-    class Surface:
-        corners: int  # nodes of a face, 3 or 6
-        x_swept: wp.array2d(dtype=vec3)  # the nodes if both bodies had kept their shapes since the step began [m]
-        faces: wp.array3d(dtype=wp.int32)  # (B, F, corners)
-        count: wp.array(dtype=wp.int32)  # faces in use (B,)
-        smooth: wp.array3d(dtype=vec3)  # blended normals at the corners of the faces (B, F, corners) [-]
-        candidates: wp.array3d(dtype=wp.int32)  # faces that each node may meet (B, f, CANDIDATES); -1 is padding
-        anchor: wp.array3d(dtype=vec6)  # shape values on the face that is its owner
-        there: wp.array2d(dtype=vec6)  # shape values of the nearest point, on the face `body` (B, f)
-
-    # pressure acts at the nearest place of the other surface, friction at the anchor
-    found = contact_kernels(_MODULE, Surface, _source, PENALTY.push(_MODULE), on_faces=True)
-    Points = found.Points
-
-    @wp.kernel(module=_MODULE, enable_backward=False)
-    def search(c: Points, columns: wp.array(dtype=wp.int32), within: real):
-        # the nearest faces of the other surface to every point, no further than ``within``, nearest first
-        f, k = wp.tid()
-        b = columns[k]
-        for i in range(most):
-            c.candidates[b, f, i] = -1
-        if c.stiffness[b, f, 0] <= real(0.0):
-            return
-        p = found.place(c, c.x, b, f, 0)
-        held = int(0)  # noqa: UP018, RUF046
-        worst = within
-        far_of = vec_most()
-        for face in range(c.count[b]):
-            x0 = c.x[b, c.faces[b, face, 0]]
-            x1 = c.x[b, c.faces[b, face, 1]]
-            x2 = c.x[b, c.faces[b, face, 2]]
-            middle = (x0 + x1 + x2) / real(3.0)
-            reach = wp.max(wp.length(x0 - middle), wp.max(wp.length(x1 - middle), wp.length(x2 - middle)))
-            if wp.length(p - middle) - reach < worst:
-                m = closest_point.on_triangle(p, x0, x1, x2)
-                far = wp.length(p - (m[0] * x0 + m[1] * x1 + m[2] * x2))
-                if far < worst:
-                    if held < most:
-                        held += 1
-                    at = held - 1
-                    while at > 0 and far_of[wp.max(at - 1, 0)] > far:
-                        far_of[at] = far_of[at - 1]
-                        c.candidates[b, f, at] = c.candidates[b, f, at - 1]
-                        at -= 1
-                    far_of[at] = far
-                    c.candidates[b, f, at] = face
-                    if held == most:
-                        worst = far_of[most - 1]
-
-    return SimpleNamespace(**vars(found), search=search)
+    corners: int  # nodes of a face, 3 or 6
+    x_swept: wp.array2d(dtype=vec3)  # the nodes if both bodies had kept their shapes since the step began [m]
+    faces: wp.array3d(dtype=wp.int32)  # (B, F, corners)
+    count: wp.array(dtype=wp.int32)  # faces in use (B,)
+    smooth: wp.array3d(dtype=vec3)  # blended normals at the corners of the faces (B, F, corners) [-]
+    candidates: wp.array3d(dtype=wp.int32)  # faces that each node may meet (B, f, CANDIDATES); -1 is padding
+    anchor: wp.array3d(dtype=vec6)  # shape values on the face that is its owner
+    there: wp.array2d(dtype=vec6)  # shape values of the nearest point, on the face `body` (B, f)
 
 
 def _source(Points: Any, place: Any) -> Any:
     """The functions of a surface, see `contact.kernels.contact_kernels`; every part has one point."""
-    most = wp.constant(CANDIDATES)
-
     @wp.func(module=_MODULE)
     def closest(c: Points, p: vec3, b: int, f: int, x: wp.array2d(dtype=vec3)):
         # the nearest point among the candidates: face (-1: none), shape values, signed distance, unit normal out of the
@@ -108,7 +60,7 @@ def _source(Points: Any, place: Any) -> Any:
         normal = vec3()
         least = real(1e30)
         best_height = real(0.0)
-        for k in range(most):
+        for k in range(_most):
             face = c.candidates[b, f, k]
             if face >= 0:
                 n, at, out = closest_point.nearest(p, b, face, c.corners, c.faces, x)
@@ -190,3 +142,46 @@ def _source(Points: Any, place: Any) -> Any:
                 way = wp.max(wp.length(d), real(1e-15))
 
     return SimpleNamespace(place=place, meet=meet, held=held, anchors=anchors, drags=drags)
+
+
+# pressure acts at the nearest place of the other surface, friction at the anchor
+KERNELS = contact_kernels(_MODULE, Surface, _source, PENALTY.push(_MODULE), on_faces=True)
+"""The kernels of the pair and their types. ``Points`` are the f nodes of one surface, with one point each, and the F
+faces of the other one that they may meet."""
+Points, place = KERNELS.Points, KERNELS.place
+
+
+@wp.kernel(module=_MODULE, enable_backward=False)
+def search(c: Points, columns: wp.array(dtype=wp.int32), within: real):
+    # the nearest faces of the other surface to every point, no further than ``within``, nearest first
+    f, k = wp.tid()
+    b = columns[k]
+    for i in range(_most):
+        c.candidates[b, f, i] = -1
+    if c.stiffness[b, f, 0] <= real(0.0):
+        return
+    p = place(c, c.x, b, f, 0)
+    held = int(0)  # noqa: UP018, RUF046
+    worst = within
+    far_of = _vec_most()
+    for face in range(c.count[b]):
+        x0 = c.x[b, c.faces[b, face, 0]]
+        x1 = c.x[b, c.faces[b, face, 1]]
+        x2 = c.x[b, c.faces[b, face, 2]]
+        middle = (x0 + x1 + x2) / real(3.0)
+        reach = wp.max(wp.length(x0 - middle), wp.max(wp.length(x1 - middle), wp.length(x2 - middle)))
+        if wp.length(p - middle) - reach < worst:
+            m = closest_point.on_triangle(p, x0, x1, x2)
+            far = wp.length(p - (m[0] * x0 + m[1] * x1 + m[2] * x2))
+            if far < worst:
+                if held < _most:
+                    held += 1
+                at = held - 1
+                while at > 0 and far_of[wp.max(at - 1, 0)] > far:
+                    far_of[at] = far_of[at - 1]
+                    c.candidates[b, f, at] = c.candidates[b, f, at - 1]
+                    at -= 1
+                far_of[at] = far
+                c.candidates[b, f, at] = face
+                if held == _most:
+                    worst = far_of[_most - 1]

@@ -15,7 +15,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from vsfsim.physics.contact.kernels import bound
-from vsfsim.physics.contact.pair.kernels import CANDIDATES, kernels
+from vsfsim.physics.contact.pair.kernels import CANDIDATES, Points
 from vsfsim.physics.contact.patch import PENALTY, face_grid
 from vsfsim.physics.mesh.quadratic import face_slopes
 from vsfsim.physics.model import Model
@@ -116,7 +116,7 @@ def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarra
     # every node is a part with one point: beside the corners of a face that it is on, the fourth node of the part
     batch, n = stiffness.shape
     node = np.broadcast_to(first + np.arange(n)[:, None], (batch, n, 1))
-    points, tensors = bound(kernels().Points, {
+    points, tensors = bound(Points, {
         **both, "corners": faces.shape[2], "stiffness": stiffness[:, :, None], "faces": faces,
         "local": np.concatenate([facet, node, node, node], axis=2), "shape": np.tile(np.eye(6)[3], (batch, n, 1, 1)),
         "count": np.array(count), "candidates": np.full((batch, n, CANDIDATES), -1),
@@ -133,9 +133,6 @@ def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:
     batch, width, nodes = faces.shape
     tables = []
     for b in range(batch):
-        if b and np.array_equal(faces[b], faces[b - 1]) and count[b] == count[b - 1]:
-            tables.append(tables[-1])
-            continue
         flat = faces[b, :count[b]].ravel()
         order = np.argsort(flat, kind="stable")
         node = flat[order]
