@@ -15,8 +15,6 @@ indentation (`contact.local_indentation`) is held where it is.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 import warp as wp
@@ -55,10 +53,10 @@ class Sensitivity(Solver):
         self._near = [] if near is None else near._own
         self._own: list[Known] = []
 
-    def run(self, poses: np.ndarray, **more: Any) -> Frames:
+    def run(self, poses: np.ndarray, **more: object) -> Frames:  # type: ignore[override]
         """See `Solver`."""
         self.derivative = []
-        frames = super().run(poses, **more)
+        frames = super().run(poses, **more)  # type: ignore[arg-type]
         self._own = self._equilibria[len(self._near):]
         return frames
 
