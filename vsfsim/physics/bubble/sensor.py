@@ -198,8 +198,8 @@ def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]") -
         known = *coarse[:2], _inflated(spec, coarse, None, where)
     points = np.column_stack([flat, np.zeros(len(flat))]) + _inflated(spec, (flat, faces, rim), known, where)
     faces = faces.astype(np.int32)
-    inside = gas.volume(points, closed(faces, rim))
-    mesh = TriangleMesh(points, faces, rim, np.array([inside]))
+    mesh = TriangleMesh.of(points, faces, rim)
+    inside = float(mesh.volume[0])
     dead = spec.gas_volume - inside
     if dead < 0.0:
         raise SceneError(f"{where}: gas_volume is {1e6 * spec.gas_volume:.4g} mL, but the inflated dome alone holds "

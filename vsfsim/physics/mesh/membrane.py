@@ -43,6 +43,11 @@ class TriangleMesh:
     volume: np.ndarray
     """Volume inside the surface, closed by a cap over the rim (1,) [m^3]."""
 
+    @classmethod
+    def of(cls, points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> TriangleMesh:
+        """A mesh and its volume; arguments as the fields."""
+        return cls(points, faces, rim, np.array([gas.volume(points, closed(faces, rim))]))
+
     def surface_nodes(self) -> np.ndarray:
         """All nodes (n,)."""
         return np.arange(len(self.points))

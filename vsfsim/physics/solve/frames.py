@@ -14,7 +14,7 @@ class Reason(IntEnum):
     text: str
     """In words, for people and datasets."""
 
-    def __new__(cls, number: int, text: str) -> Reason:
+    def __new__(cls, number: int, text: str = "") -> Reason:
         out = int.__new__(cls, number)
         out._value_, out.text = number, text
         return out
