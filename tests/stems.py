@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from vsfsim.core.plant import Plant
@@ -53,10 +51,9 @@ def touch(model: RodModel | Plant, poses: np.ndarray, *, radius: float = 0.03, l
 def loaded(body: Plant, forces: dict[int, tuple[float, float, float]], *, device: str = "cpu",
            tolerance: float = 1e-9) -> RodFrames:
     """The plant under dead forces [N] at nodes, with a capsule far away."""
-    weight = np.zeros((len(body.nodes), 3))
+    model = build(body)
     for node, force in forces.items():
-        weight[node] = force
-    model = dataclasses.replace(build(body), weight=weight)
+        model.arrays["load"][node] = force
     far = np.eye(4)[None, None, None].copy()
     far[..., 0, 3] = 5.0
     return touch(model, far, device=device, tolerance=tolerance, force_floor=1e-30)

@@ -95,6 +95,12 @@ def descriptors(do):
                                 for name in os.listdir("/proc/self/fd") if os.path.exists(f"/proc/self/fd/{name}"))
 
 
+def file_system(do):
+    """What a file system says of a file beyond its text: the flags that FS_IOC_GETFLAGS gets."""
+    with open(os.__file__) as source:
+        return LIBC.ioctl(source.fileno(), 0x80086601, bytes(8)) == 0
+
+
 def printed(do):
     """What other trials printed, by opening the standard output to read it."""
     if do == "leave":
@@ -178,7 +184,7 @@ def absent(handle, place):
 WAYS = {
     "page cache": page_cache(absent), "page cache by the clock": page_cache(wait, 1 << 18),
     "watch": lambda do: LIBC.syscall(262 + 38 * (os.uname().machine == "x86_64"), 0x200, 0) >= 0 and do == "take",
-    "file system": lambda do: LIBC.ioctl(os.open(os.__file__, 0), 0x80086601, bytes(8)) == 0,
+    "file system": file_system,
     "ring of calls": lambda do: LIBC.syscall(425, 8, bytes(120)) >= 0 and do == "take",
     "working folder": file(os.getcwd), "/tmp": file(lambda: "/tmp"), "/var/tmp": file(lambda: "/var/tmp"),
     "/dev/shm": file(lambda: "/dev/shm"), "home": file(lambda: os.path.expanduser("~/.config")),

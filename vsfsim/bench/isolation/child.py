@@ -291,8 +291,8 @@ class _Server:
         return Reply(arrays=(rules.numbers(given.mean, "stiffness has a mean"),))
 
     def do_locate(self, payload: Any) -> Reply:
-        return Reply(arrays=(rules.numbers(self.method.locate(*payload), "locate must return a transform "
-                                                                    "(4, 4), and not one"),))
+        return Reply(arrays=(rules.numbers(self.method.locate(*payload),
+                                           "locate must return a transform (4, 4), and not one"),))
 
 
 def private_caches(folder: Path, kernels: str) -> None:
