@@ -10,13 +10,22 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any
 
+import numpy as np
+
 import vsfsim
 from vsfsim.cli.console import without_nan
 from vsfsim.core.text_table import text_table
 from vsfsim.data.provenance import commit
+from vsfsim.physics.model import Model
 
 Progress = Callable[[str], None]
 """Called with a sentence about what is going on."""
+
+
+def factorise(model: Model) -> None:
+    """Make the factor that all touches of a body share, which is made at its first use: costs are counted apart."""
+    model.preconditioner.solve(np.zeros((model.preconditioner.size, 1)))
+
 
 _FACTORS = {("m", "mm"): 1e3, ("1", "%"): 100.0}
 """What a value in the first unit is multiplied by to be printed in the second."""

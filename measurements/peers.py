@@ -34,7 +34,7 @@ import numpy as np
 import references
 import vsfsim
 from measurements.kept import Kept
-from measurements.measurement import Column, Measurement, Progress, Table
+from measurements.measurement import Column, Measurement, Progress, Table, factorise
 from measurements.stability.team import Ended, answers
 from measurements.trust import cell_of
 from references.cells import FOAMS, Cell
@@ -99,7 +99,7 @@ def ours(case: str, tier: str, local: bool, depths: np.ndarray) -> dict[str, Any
     forget_all()
     began = time.process_time()
     model = tiers.model_of(scene, tier, known_body.solid, known_body.young_modulus)
-    model.preconditioner.solve(np.zeros((model.preconditioner.size, 1)))
+    factorise(model)
     solver, ready = Solver(model, scene.probe, options=options), time.process_time()
     frames = solver.run(poses[1:], start=poses[0, :, None])
     return {"forces": frames.force[:, 0, 2].tolist(), "balance": frames.force_balance[:, 0].tolist(),

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from measurements.measurement import factorise
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.manifest import NOISE
@@ -171,7 +172,7 @@ class DatasetTouches:
         for some in [aims] if setting.level is None else [[a] for a in aims]:
             began = time.process_time()
             own = effector.on(subject, some[0], setting)
-            own.model.preconditioner.solve(np.zeros((own.model.preconditioner.size, 1)))
+            factorise(own.model)
             built = time.process_time()
             touches += effector.touch(own, some, device=self._device)
             done = time.process_time()

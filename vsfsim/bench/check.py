@@ -12,7 +12,6 @@ import numpy as np
 
 from vsfsim.bench import method as rules
 from vsfsim.bench.isolation.wire import packed
-from vsfsim.bench.method import Method, Reading, frozen, frozen_view
 from vsfsim.bench.metrics import rmse, touch_errors
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -103,43 +102,43 @@ class _Contract:
         recording = record(test, task)
         self.factory, self.values, self.brief = factory, values, brief
         self.specimens = tuple(specimen(mock_view(i, split="train"), task) for i in range(2))
-        self.view, self.readings, self.clean = frozen_view(test.view), recording.readings, recording.clean
+        self.view, self.readings, self.clean = rules.frozen_view(test.view), recording.readings, recording.clean
         self.support, self.actions = self.readings[:5], [reading.action for reading in self.readings[5:]]
         self.gap = [self.spoiled(reading, 4, valid=False) for reading in self.support]
         self.other = record(mock_view(3, stiffness=4.0), task).readings
-        self._learned: Method | None = None
+        self._learned: rules.Method | None = None
         self._state = b""
-        self._adapted = list[Method]()
+        self._adapted = list[rules.Method]()
         self._untouched = self._arrays()
 
     # ------------------------------------------------------------------ what the clauses use
 
-    def learn(self) -> Method:
+    def learn(self) -> rules.Method:
         method = rules.build_method(self.factory, self.values)
         method.meta_fit(self.specimens)
         return method
 
-    def learned(self) -> Method:
+    def learned(self) -> rules.Method:
         self._learned = self._learned or self.learn()
         return self._learned
 
-    def copy(self) -> Method:
+    def copy(self) -> rules.Method:
         self._state = self._state or packed(self.learned())
         return pickle.loads(self._state)
 
-    def answer(self, method: Method, support: Sequence[Reading]) -> list[np.ndarray]:
+    def answer(self, method: rules.Method, support: Sequence[rules.Reading]) -> list[np.ndarray]:
         method.adapt(self.view, list(support))
         return self.prediction(method)
 
-    def prediction(self, method: Method, function: str = "predict") -> list[np.ndarray]:
-        return rules.checked_prediction(getattr(method, function)(self.actions), self.actions,
-                                  [f"mock touch {i} ({function})" for i in range(5, 8)])
+    def prediction(self, method: rules.Method, function: str = "predict") -> list[np.ndarray]:
+        names = [f"mock touch {i} ({function})" for i in range(5, 8)]
+        return rules.checked_prediction(getattr(method, function)(self.actions), self.actions, names)
 
-    def spoiled(self, reading: Reading, frame: int, *, valid: bool) -> Reading:
+    def spoiled(self, reading: rules.Reading, frame: int, *, valid: bool) -> rules.Reading:
         """A reading without the value of one frame."""
         value, known = np.array(reading.value), np.array(reading.valid)
         value[frame], known[frame] = np.nan, valid
-        return dataclasses.replace(reading, value=frozen(value), valid=frozen(known))
+        return dataclasses.replace(reading, value=rules.frozen(value), valid=rules.frozen(known))
 
     def optional(self, name: str) -> list[Callable[..., Any]]:
         """A function that a method may leave out, of those that predicted after no touch and after some."""
@@ -152,7 +151,7 @@ class _Contract:
 
     # ------------------------------------------------------------------ clauses
 
-    def scored(self, support: Sequence[Reading]) -> str:
+    def scored(self, support: Sequence[rules.Reading]) -> str:
         method = self.copy()
         answer = self.answer(method, support)
         rules.checked_prediction(method.predict([]), [], [])

@@ -102,8 +102,13 @@ class Made:
     """The result; None where the method failed."""
     failure: VsfsimError | None = None
     """Why there is no result."""
-    state: str = "made"
-    """"made", "kept" where the result was there already, or the message of the failure."""
+    kept: bool = False
+    """The result was there already."""
+
+    @property
+    def state(self) -> str:
+        """"made", "kept", or the message of the failure."""
+        return str(self.failure) if self.failure is not None else "kept" if self.kept else "made"
 
 
 def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path | Dataset | None = None,
@@ -139,7 +144,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     for path, choice in rows.items():
         known = None if again else _kept(path, task, data.sha256, choice, seeds)
         if known is not None:
-            yield Made(path, known, state="kept")
+            yield Made(path, known, kept=True)
         elif choice.method not in ceilings():
             wanted.append(Evaluation(choice.method, task, data, path, choice.parameters, seeds, isolation, training,
                                      choice.preset))
@@ -149,7 +154,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
                     choice.method, task, data, path, parameters=choice.parameters, workers=workers,
                     progress=progress))
             except VsfsimError as error:
-                yield Made(path, failure=error, state=str(error))
+                yield Made(path, failure=error)
     yield from make(wanted, workers, check=check, fan=fan, progress=progress)
 
 
@@ -236,7 +241,7 @@ def make(rows: Iterable[Evaluation], workers: int, *, check: bool = True, fan: F
                 raise
             failure = error
         if failure is not None or fan.shard is None:
-            yield Made(row.path, result, failure, "made" if failure is None else str(failure))
+            yield Made(row.path, result, failure)
 
 
 def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan: Fan, progress: Progress) -> None:
