@@ -78,10 +78,12 @@ class Whole:
         return sha256 if same and not changed(row.method, row.parameters, row.contents) else ""
 
     def audited(self) -> str:
-        """Digest of what an audit is made of: the dataset, the shortcuts and the rows, of the fresh seeds by name."""
+        """Digest of what an audit is made of: the dataset, the shortcuts, the fresh seeds, and the rows of the methods
+        that are made again on them; the other rows are read where the audit is printed."""
         record = fingerprint.shipped_record(self.task)
+        again = [key for key in self.part.fresh if key != "dataset"]
         of = [self.task.sha256, record.dataset_sha256 if record is not None else "", method_sha256(audit.METHOD),
-              *map(self.current, self.part.rows), *self.part.fresh, *map(str, SEEDS)]
+              *map(self.current, again), *again, *map(str, SEEDS)]
         return hashlib.sha256(" ".join(of).encode()).hexdigest()
 
     def items(self) -> dict[str, tuple[float, bool]]:
