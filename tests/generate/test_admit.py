@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -30,23 +31,24 @@ def with_limit(scene, limit):
     return dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, reject_below=limit))
 
 
-def test_the_first_plant_is_taken_where_nothing_is_asked_and_the_second_where_the_first_is_refused(job, monkeypatch):
+def test_the_first_plant_is_taken_where_nothing_is_asked_and_the_third_where_two_are_refused(job, monkeypatch):
+    """The second can be touched along a branch in view 0 and not in view 1."""
     scene = job.scene()
     first = admit.admitted(job, with_limit(scene, 0.0))
     assert len(first.notes) == 1 and first.notes[0].startswith("boxwood")
-    seen = []
-
-    def refusal(plant, *rest):
-        seen.append(plant)
-        return "too soft" if len(seen) == 1 else None
-
-    monkeypatch.setattr(admit, "refusal", refusal)
-    second = admit.admitted(job, with_limit(scene, 2.0))
-    assert np.array_equal(seen[0].nodes, first.nodes) and len(seen) == 2
-    assert not np.array_equal(second.young_modulus, first.young_modulus)
-    assert second.notes == (*seen[1].notes, "Draw 1 of boxwood was refused: too soft.")
+    refused = Mock(side_effect=["too soft", None, None])
+    aimed = Mock(side_effect=[[], aim.NothingReached("", "no branch"), [], []])
+    monkeypatch.setattr(admit, "refusal", refused)
+    monkeypatch.setattr(admit, "aim_arm", aimed)
+    taken = admit.admitted(job, with_limit(scene, 2.0))
+    seen = [call.args[0] for call in refused.call_args_list]
+    assert np.array_equal(seen[0].nodes, first.nodes) and aimed.call_count == 4
+    assert not np.array_equal(taken.young_modulus, first.young_modulus)
+    assert taken.notes == (*seen[2].notes, "Draw 1 of boxwood was refused: too soft.",
+                           "Draw 2 of boxwood was refused: view 1: no branch.")
     # the other view of the object gets the same plant, without asking again
-    assert admit.admitted(dataclasses.replace(job, view_index=0), with_limit(scene, 2.0)) is second and len(seen) == 2
+    assert admit.admitted(dataclasses.replace(job, view_index=0), with_limit(scene, 2.0)) is taken
+    assert refused.call_count == 3
 
 
 def test_a_scene_none_of_whose_plants_can_be_used_is_refused_with_the_reason(job, monkeypatch):

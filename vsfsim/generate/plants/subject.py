@@ -4,8 +4,9 @@ A scene with ``[arm] reject_below`` refuses a plant whose touches would say noth
 pilot touches are made on a candidate: straight lines past random points of its surface, in the orientation of every
 view, of the scene's own depth. The plant is drawn again if the arm reaches fewer than a sixtieth of the points of a
 view, or if the largest norm of the joint torques in a pilot touch, in the median over these, is below the limit, the
-norm that the arm's sensors show when it meets nothing. The verdict depends on the seed and the object alone, so that
-all views of an object, and all workers, agree.
+norm that the arm's sensors show when it meets nothing. With several stations on a branch it is drawn again, too, if a
+camera sees no branch that the arm can touch at all of them. The verdict depends on the seed and the object alone, so
+that all views of an object, and all workers, agree.
 """
 
 from __future__ import annotations
@@ -73,29 +74,41 @@ def outline(job: Job) -> Subject:
     """The plant of a job, turned for its view, without the last bits of its numbers, in which kinds of CPU differ:
     rounding decides which branch slips off the arm."""
     scene = job.scene()
-    plant = admitted(job, scene).turned(2.0 * np.pi * job.view_index / job.recipe.views)
-    found = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
-    numbers: dict[str, Any] = {name: snapped(value) for name, value in found.items()
-                               if isinstance(value, np.ndarray) and value.dtype.kind == "f"}
-    plant = dataclasses.replace(plant, **numbers)
+    plant = _turned(admitted(job, scene), job)
     return Subject(job, scene, plant, beams(plant, scene))
 
 
 def prepare_job(job: Job, *, device: str) -> Subject:
-    """The view of a job, ready to be touched: its picture is taken and its touches are chosen. The camera stands on a
-    table and stays where it is while plants are turned."""
+    """The view of a job, ready to be touched: its picture is taken and its touches are chosen."""
     o = outline(job)
-    scene, height = o.scene, o.plant.nodes[:, 2]
-    camera, spec = scene.camera, scene.required_arm
-    intrinsics, pose = look_at(camera, np.array([0.0, 0.0, 0.5 * (height.min() + height.max())]))
-    view = seen_by(plant_view(o.plant, intrinsics, pose, camera.width, camera.height, device=device,
-                              renderer=job.recipe.renderer), camera, job.stream(Stream.DEPTH))
-    arm = load(spec)
-    aims = aim_arm(arm, spec, scene.required_touches, o.plant, snapped(view.points()),
-                   lambda k: np.random.default_rng(job.stream(Stream.AIM, k)),
-                   numbers=range(scene.required_touches.count), where=str(scene.source))
+    view, arm = _seen(job, o.scene, o.plant, device), load(o.scene.required_arm)
+    aims = _aimed(job, o.scene, o.plant, view, arm, range(o.scene.required_touches.count))
     poses = np.stack([arm.body_poses(a.line) for a in aims], axis=1)
     return dataclasses.replace(o, view=view, aims=tuple(aims), poses=poses, arm=arm)
+
+
+def _turned(plant: Plant, job: Job) -> Plant:
+    """The plant as a job's view turns it, without the last bits of its numbers."""
+    plant = plant.turned(2.0 * np.pi * job.view_index / job.recipe.views)
+    found = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
+    numbers: dict[str, Any] = {name: snapped(value) for name, value in found.items()
+                               if isinstance(value, np.ndarray) and value.dtype.kind == "f"}
+    return dataclasses.replace(plant, **numbers)
+
+
+def _seen(job: Job, scene: Scene, plant: Plant, device: str) -> View:
+    """The picture of a turned plant. The camera stands on a table and stays where it is while plants are turned."""
+    camera, height = scene.camera, plant.nodes[:, 2]
+    intrinsics, pose = look_at(camera, np.array([0.0, 0.0, 0.5 * (height.min() + height.max())]))
+    return seen_by(plant_view(plant, intrinsics, pose, camera.width, camera.height, device=device,
+                              renderer=job.recipe.renderer), camera, job.stream(Stream.DEPTH))
+
+
+def _aimed(job: Job, scene: Scene, plant: Plant, view: View, arm: Arm, numbers: range) -> list[ArmAim]:
+    """The touches of a view with these numbers, see `aim_arm`."""
+    return aim_arm(arm, scene.required_arm, scene.required_touches, plant, snapped(view.points()),
+                   lambda k: np.random.default_rng(job.stream(Stream.AIM, k)), numbers=numbers,
+                   where=str(scene.source))
 
 
 # ------------------------------------------------------------------------------------------ which plants are taken
@@ -128,13 +141,25 @@ def admitted(job: Job, scene: Scene) -> Plant:
     for draw in range(MOST_DRAWS):
         seed = stream(recipe.seed, Stream.BODY, number, *((draw,) if draw else ()))
         plant = grow(scene, seed, number=number)
-        why = refusal(plant, scene, arm, recipe.views, pilots)
+        why = refusal(plant, scene, arm, recipe.views, pilots) or _no_branch(job, scene, plant, arm)
         if why is None:
             _known[key] = dataclasses.replace(plant, notes=(*plant.notes, *refused))
             return _known[key]
         refused.append(f"Draw {draw + 1} of {plant.name or 'the plant'} was refused: {why}.")
     raise SceneError(f"{scene.source}: none of {MOST_DRAWS} plants drawn for object {number} can be touched usefully. "
                      f"{refused[-1]} Move [arm] base, lower reject_below, or choose other plants.")
+
+
+def _no_branch(job: Job, scene: Scene, plant: Plant, arm: Arm) -> str | None:
+    """Why no branch of a view can be touched at all stations of the scene, or None."""
+    for number in range(job.recipe.views if scene.required_touches.stations > 1 else 0):
+        one = dataclasses.replace(job, view_index=number)
+        turned = _turned(plant, one)
+        try:
+            _aimed(one, scene, turned, _seen(one, scene, turned, "cpu"), arm, range(1))
+        except NothingReached as error:
+            return f"view {number}: {error.reasons}"
+    return None
 
 
 def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -> Plant:
