@@ -53,13 +53,6 @@ def test_the_largest_of_a_pilot_bounds_enough_of_all():
 GROUND = Setting("fem-coarse", 0.0099, nodes=390)
 
 
-def test_the_finest_meshes_of_a_promise_serve_its_reference():
-    assert GROUND.ladder(0.02)[1:] == GROUND.ladder(0.01)[:2] == GROUND.steps()[3:]
-    for ladder in (GROUND.ladder(0.05), GROUND.ladder()):
-        assert [s.resolution for s in ladder] == sorted((s.resolution for s in ladder), reverse=True)
-        assert [s.level for s in ladder] == sorted(s.level for s in ladder)
-
-
 def test_a_touch_that_loses_a_frame_goes_on_whatever_the_factor():
     """And one that loses none ends under the second setting; the factor is 0, with which all of a pilot were kept."""
     force, steps = np.array([[0.0, 0.0, 1.0]]), GROUND.steps()

@@ -1,6 +1,7 @@
 """The page of `vsfsim show` holds what the dataset holds, needs nothing from outside, and bad input is refused."""
 
 import base64
+import dataclasses
 import io
 import json
 import os
@@ -72,6 +73,14 @@ def test_the_page_holds_what_the_dataset_holds(folder, vsfsim, tmp_path):
             base64.b64decode(shown["picture"][name].split(",")[1])))) for name in ("rgb", "depth")}
         assert np.array_equal(picture["rgb"], given.view.rgb)
         assert np.array_equal(picture["depth"][..., 1] > 0, given.view.mask)
+
+
+def test_the_page_finds_each_node_of_a_skin_in_each_frame(folder):
+    touch, probe = next((view.touches[0], view.probe) for view in Dataset.open(folder))
+    where = np.random.default_rng(0).random((len(touch.time), 7, 3))
+    skin = subject.touch_table(dataclasses.replace(touch, node_position=where, node_force=-where), probe)["skin"]
+    for name, given in (("position", where), ("force", -where)):
+        assert values(skin[name]).reshape(-1, skin["nodes"], 3) == pytest.approx(given, abs=1e-4)
 
 
 def test_the_page_needs_nothing_from_outside_and_names_cannot_end_its_data():

@@ -62,8 +62,8 @@ class Colours:
             along.set_major_formatter(EngFormatter("Pa"))
 
 
-def of_modulus(*moduli: np.ndarray) -> Colours:
-    """From the smallest to the largest of Young's moduli, each an array [Pa]; a body of one modulus gets an octave."""
-    low, high = min(float(m.min()) for m in moduli), max(float(m.max()) for m in moduli)
+def of_modulus(modulus: np.ndarray) -> Colours:
+    """From the smallest to the largest of Young's moduli [Pa]; a body of one modulus gets an octave."""
+    low, high = float(modulus.min()), float(modulus.max())
     room = 1.0 if high > 1.5 * low else 2.0
     return Colours("viridis", low / room, high * room, "Young's modulus, mean of each element", log=True)
