@@ -18,7 +18,7 @@ from vsfsim.physics.contact.law import contact_law_of
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.catalogue import law_of
 from vsfsim.physics.mesh.account import scan_foot
-from vsfsim.physics.mesh.discretise import build_solid
+from vsfsim.physics.mesh.discretise import beside_supports, build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.inclusions import held_stiffness, mixed_modulus, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
@@ -186,9 +186,11 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     field, (turn, shift) = spec.young_modulus, placement(spec)
     boxes = [np.sort(np.reshape(part.numbers, (2, 3)), axis=0) for part in field.inclusions if part.kind == "box"]
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
-    solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
-                        focus=local,
-                        parts=np.array(boxes) if boxes else None)
+    size = element_size(spec, tier, scene.probe)
+    made = functools.partial(build_solid, spec, resolution=size, rng=np.random.default_rng(seed), focus=local)
+    solid = made(parts=np.array(boxes) if boxes else None)
+    if not isinstance(spec.fixed, str) and len(beside := beside_supports(spec, solid.vertices, size)):
+        solid = made(parts=np.array([*boxes, *beside]))
     if edges is not None:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
     modulus = field.of_regions(solid.young_modulus, where)

@@ -13,7 +13,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Cylinder, Rod, Sphere
 from vsfsim.core.solid import Solid, smallest_sine, tet_volumes
-from vsfsim.physics.mesh.discretise import build_solid
+from vsfsim.physics.mesh.discretise import beside_supports, build_solid
 
 SPEC = parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5\n', "test.toml").sample(0).object
 
@@ -86,13 +86,13 @@ def test_focus_grades_the_box() -> None:
     check_boundary(graded)
 
 
-def test_the_smallest_sine_of_known_tetrahedra() -> None:
-    """Of their dihedral angles: 70.5 degrees of a regular one, 54.7 and 90 of a corner of a cube."""
-    regular = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
-    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
-    for vertices, degrees in ((regular, 70.528779), (corner, 54.735610)):
-        found = np.abs(smallest_sine(vertices, np.array([[0, 1, 2, 3]])))
-        assert found == pytest.approx([math.sin(math.radians(degrees))])
+@pytest.mark.parametrize(("face", "added"), [(-0.05 + 1e-6, 0), (-0.025, 0), (-0.021, 1), (0.046, 1), (0.0499, 0)])
+def test_a_box_that_holds_a_block_adds_a_layer_only_where_none_ends(face: float, added: int) -> None:
+    spec = dataclasses.replace(SPEC, fixed=(-1.0, -1.0, -1.0, face, 1.0, 1.0))
+    plain = build_solid(spec, resolution=0.025)
+    held = build_solid(spec, resolution=0.025, parts=beside_supports(spec, plain.vertices, 0.025))
+    assert np.array_equal(held.vertices, plain.vertices) != bool(added)
+    assert np.abs(held.vertices[:, 0] - face).min() < (1e-12 if added else 0.1 * 0.025)
 
 
 def test_refusals() -> None:

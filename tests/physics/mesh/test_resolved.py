@@ -37,12 +37,12 @@ def test_a_ball_that_the_mesh_resolves_is_not_marked():
 
 
 def test_a_wall_that_bends_is_not_marked_for_its_small_contact():
-    """A plate of 6 mm that is held along one side. On elements of 4 mm the forces at 1.8, 3.2, 4.6 and 6 mm are 7.5,
-    14.1, 21.6 and 29.7 mN; those on 12 mm are off by 9, 4, 12 and 9 %, said to be by 9, 5, 4 and 3 %."""
+    """A plate of 6 mm that is held along one side. On elements of 2.5 mm the forces at 1.8, 3.2, 4.6 and 6 mm are 7.9,
+    14.8, 22.6 and 31.2 mN; those on 12 mm are off by 3, 1, 8 and 4 %, said to be by 10, 6, 5 and 4 %."""
     result = pressed(0.03, 0.007, at=(0.02, 0.0), top=0.006, above=0.001, frames=5, poisson_ratio=0.3, resolution=0.012,
                      shape="{ box = [0.1, 0.1, 0.006] }", fixed=[-0.06, -0.06, -1.0, -0.03, 0.06, 1.0])
     force = np.linalg.norm(result.more["body_force"][1:, 0], axis=1)
-    assert np.abs(force / [0.0075, 0.0141, 0.0216, 0.0297] - 1.0).max() < 0.15
+    assert np.abs(force / [0.0079, 0.0148, 0.0226, 0.0312] - 1.0).max() < 0.1
     error = result.more["mesh_error"][1:]
     assert result.resolved[1:].all() and (0.02 < error).all() and (error < LIMIT).all()
 
@@ -64,9 +64,6 @@ def test_det_f_at_corners_is_that_of_the_displacements(block):
     model = block((0.02, 0.02, 0.02), 0.01)
     points, tets = model.mesh.points, model.mesh.tets
     rng = np.random.default_rng(0)
-    linear = rng.normal(size=(3, 3))
-    nodes = model.mesh.surface_nodes()
-    assert corner_det_f(model.mesh, nodes, points @ linear.T) == pytest.approx(np.linalg.det(np.eye(3) + linear))
     # a quadratic field, whose gradient at the corners is known
     bend = rng.normal(size=(3, 3, 3)) * 20.0
     u = np.einsum("cij,ni,nj->nc", bend, points, points)
@@ -195,3 +192,12 @@ def test_a_scene_that_chose_no_tier_gets_one_that_follows_it(shape, body, probe,
     free, asked = (press_of(shape, body, probe, top, depth, x=x, turn=turn, tier=tier) for tier in (None, "fem"))
     assert free.more["tier"] == "fem" and free.normal_force == pytest.approx(asked.normal_force, rel=1e-9)
     assert any("too far for small strain: tier 'fem' was taken" in note for note in free.notes)
+
+
+def test_supports_that_end_inside_elements_are_told():
+    """A disc clamped across, 3 % too soft on elements of 6 mm: their nodes in the box end before it."""
+    body = {"fixed": [-1.0, -1.0, -1.0, -0.01, 1.0, 1.0], "young_modulus": 1e6}
+    coarse, fine = (press_of("cylinder = [0.03, 0.004]", {**body, "resolution": size}, "sphere = 0.01", 0.0145, 0.006,
+                             x=0.02, tier="fem", frames=3) for size in (0.006, 0.004))
+    off = abs(float(coarse.normal_force[-1] / fine.normal_force[-1]) - 1.0)
+    assert 0.02 < off < coarse.more["mesh_error"][-1] and "does NOT resolve the supports in 1 of 3" in coarse.text()

@@ -242,7 +242,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         "inward": spec.inward, "mesh_error": frames.mesh_error[:, 0], "law_error": frames.law_error[:, 0],
         "corner_det_f": frames.corner_det_f[:, 0], "rotation": frames.rotation[:, 0]}
     told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], solver.linear * frames.rotation[:, 0],
-                    touch.converged, frames.law_error[:, 0])
+                    touch.converged, frames.law_error[:, 0], frames.support_error[:, 0])
     said = [*filter(None, [told]),
             f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, "
             f"element size {1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "

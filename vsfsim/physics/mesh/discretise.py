@@ -14,6 +14,11 @@ from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.mesh import structured as blocks
 
+LAYERED = {Box: (0, 1, 2), Cylinder: (2,), Rod: (0,)}
+"""Axes along which a shape has layers of elements."""
+NEAR = 0.1
+"""Of an element: a face of the box that holds a body gets no layer of its own where one is nearer [-]."""
+
 
 def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator | None = None,
                 focus: np.ndarray | None = None, parts: np.ndarray | None = None) -> Solid:
@@ -25,8 +30,8 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
         rng: stream from which a family draws its materials and look; None is a stream of seed 0.
         focus: points (k, 3) [m] in the object's frame near which a box keeps ``resolution`` while it
             coarsens up to 3x elsewhere; other shapes ignore it.
-        parts: low and high corners of boxes inside (p, 2, 3) [m] in the object's frame, whose faces become faces of the
-            elements of a box, and whose tops and bottoms those of a cylinder; other shapes ignore them.
+        parts: low and high corners of boxes inside (p, 2, 3) [m] in the object's frame, whose faces across an axis of
+            `LAYERED` become faces of the elements; other shapes ignore them.
 
     Raises:
         SceneError: an unknown family, bad family parameters, or a resolution that gives too many cells.
@@ -55,10 +60,38 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
             nearest = functools.partial(blocks.on_round, (0.0, 0.0, 0.0), (1.0, 1.0, 0.0), radius)
         case Rod(length, radius):
             vertices, tets = blocks.rod(length, radius, resolution)
+            if parts is not None and len(parts):
+                upright, tets = blocks.cylinder(radius, length, resolution, parts=parts[:, :, 0])
+                vertices = upright[:, [2, 0, 1]] + [0.0, 0.0, radius]
             nearest = functools.partial(blocks.on_round, (0.0, 0.0, radius), (0.0, 1.0, 1.0), radius)
         case _:
             raise AssertionError(shape)
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), nearest=nearest)
+
+
+def beside_supports(spec: ObjectSpec, vertices: np.ndarray, resolution: float) -> np.ndarray:
+    """What lies beside the box that holds a body, as ``parts`` (p, 2, 3) [m] of `build_solid`, two elements thick and
+    more; none where layers of its elements end at the faces of the box. The nodes in the box are held: where a face
+    lies between two layers, what is free is longer than the scene says.
+
+    Args:
+        spec: the object, held by a box.
+        vertices: of its mesh without these parts (n, 3) [m].
+        resolution: of the mesh [m].
+    """
+    ends = np.array([vertices.min(axis=0), vertices.max(axis=0)])
+    faces = np.sort(np.reshape(spec.fixed, (2, 3)), axis=0)
+    near = NEAR * np.minimum(resolution, 0.5 * (ends[1] - ends[0]))
+    beside = np.array([ends, ends])
+    for axis in LAYERED.get(type(spec.shape), ()):
+        (low, high), (first, last) = ends[:, axis], faces[:, axis]
+        for side, face, end, outward in ((0, first, low, -1.0), (1, last, high, 1.0)):
+            into = (face - vertices[:, axis]) * outward
+            held = ((into >= -1e-9) & (into <= near[axis])).any()
+            if min(face - low, high - face, last - first) > near[axis] and not held:
+                room = 2.0 * resolution if abs(end - face) > 3.0 * resolution else abs(end - face)
+                beside[side, :, axis] = np.sort([face, face + outward * room])
+    return beside[(beside != ends).any(axis=(1, 2))]
 
 
 def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid:

@@ -122,19 +122,21 @@ def past_small_strain(error: np.ndarray, turned: np.ndarray, law: np.ndarray) ->
 
 
 def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray, converged: np.ndarray,
-             law: np.ndarray) -> str:
-    """Sentences on the frames (T,) of a press that are not resolved, see `resolved`; empty if all are. ``law`` is the
-    part of the error that is due to small strain (T,) [-]."""
+             law: np.ndarray, support: np.ndarray) -> str:
+    """Sentences on the frames (T,) of a press that are not resolved, see `resolved`; empty if all are. ``law`` and
+    ``support`` are the parts of the error that are due to small strain and to the box that holds the body (T,) [-]."""
     words, folded = [], converged & (corner <= 0.0)
     small = converged & (error > LIMIT) & (2.0 * law**2 <= error**2)
+    loose = small & (2.0 * support**2 > error**2)
     bent = converged & past_small_strain(error, turned, law)
     if bent.any():
         words.append(f"In {bent.sum()} of {len(error)} frames elements turn (by up to "
                      f"{turned.max():.2g} rad) or stretch too far for this tier: take --tier fem.")
-    if small.any():
-        words.append(f"The mesh does NOT resolve the contact in {small.sum()} of {len(error)} frames: "
-                     f"it is small against the elements, and the force is off there "
-                     f"by up to {100 * error[small].max():.0f} %.")
+    for which, what in ((small & ~loose, "contact in {}: it is small against the elements"),
+                        (loose, "supports in {}: the box of `fixed` ends inside elements")):
+        if which.any():
+            words.append(f"The mesh does NOT resolve the {what.format(f'{which.sum()} of {len(error)} frames')}, and "
+                         f"the force is off there by up to {100 * error[which].max():.0f} %.")
     if folded.any():
         words.append(f"In {int(folded.sum())} of {len(error)} frames a corner of an element is inside out.")
     if (small | folded).any():

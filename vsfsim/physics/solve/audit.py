@@ -41,8 +41,8 @@ def report(balance: Equilibrium, state: State) -> Rows:
     }
     values["contact_points"], values["contact_radius"], each, share = contact.resolution(every)
     out = {key: value.cpu().numpy() for key, value in values.items()}
-    out["mesh_error"], out["law_error"], out["corner_det_f"], out["rotation"] = resolution(
-        balance, each.cpu().numpy(), share.cpu().numpy(), out["body_force"])
+    names = ("mesh_error", "law_error", "support_error", "corner_det_f", "rotation")
+    out |= zip(names, resolution(balance, each.cpu().numpy(), share.cpu().numpy(), out["body_force"]), strict=True)
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
     reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
@@ -58,9 +58,12 @@ def report(balance: Equilibrium, state: State) -> Rows:
 
 def resolution(balance: Equilibrium, radius: np.ndarray, share: np.ndarray,
                force: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Estimated error of the force by mesh and law [-], its part by small strain [-], least det F at corners of
-    elements in contact [-], and largest rotation of an element [rad], (B,) each; NaN of what is no solid under rigid
-    bodies.
+    """Estimated error of the force by mesh and law [-], its parts by small strain and by the supports [-], least det F
+    at corners of elements in contact [-], and largest rotation of an element [rad], (B,) each; NaN of what is no solid
+    under rigid bodies.
+
+    A box that ends inside elements holds the body by the nodes in it, further back than it says. The error is the share
+    of the energy that is where the box would let nothing move: 3 gap / length of a cantilever, as by beam theory.
 
     Args:
         balance: the batch.
@@ -71,12 +74,15 @@ def resolution(balance: Equilibrium, radius: np.ndarray, share: np.ndarray,
     model, batch = balance.model, len(radius)
     solid = all(block.kind == "tet10" for block in model.blocks)
     if not (solid and isinstance(balance.contact, RigidContact)):
-        return tuple(np.full((4, batch), np.nan))
+        return tuple(np.full((5, batch), np.nan))
     u = balance.u.cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
     small = np.where(balance.contact.local_indentation.acts(), ROUND if model.mesh.curvature().any() else SHARE, BARE)
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
-    error, law = mesh_error(radius, force, share, edges, small), np.zeros(batch)
+    error, (law, support) = mesh_error(radius, force, share, edges, small), np.zeros((2, batch))
+    if model.loose is not None:
+        inside = balance.elasticity.energy_in(model.loose, balance.every.int(), balance.u)
+        support = np.where(error > 0.0, inside, 0.0)
     if isinstance(balance.elasticity, LinearElasticity) and error.any():
         law = np.where(error > 0.0, balance.elasticity.law_error(balance.every.int(), balance.u), 0.0)
-    return np.hypot(error, law), law, np.array(corner), rotation(model.mesh, u)
+    return np.hypot(np.hypot(error, law), support), law, support, np.array(corner), rotation(model.mesh, u)

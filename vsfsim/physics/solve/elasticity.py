@@ -229,6 +229,11 @@ class Elasticity:
         _add(index, 0, self._energies, self._parts, self.energy)
         wp.to_torch(self.least_det)[at] = wp.to_torch(self._dets)[:, at].amin(dim=0)
 
+    def energy_in(self, part: np.ndarray, touches: torch.Tensor, u: torch.Tensor) -> np.ndarray:
+        """Share of the elastic energy in a ``part`` of each element (m,) [-]; arguments and result as of `det`."""
+        energy = wp.to_torch(self._energies).cpu().numpy()
+        return part @ energy / np.maximum(energy.sum(axis=0), 1e-300)
+
     def det(self, touches: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         """The least det F that the elements have, of all ``touches`` (B,), at u (3 n, B) [m], where `forces` were
         renewed (B,) [-]."""
@@ -297,6 +302,14 @@ class LinearElasticity(Elasticity):
         super().forces(index, at)
         out = super().det(touches, u)
         self.forces(index, at)
+        return out
+
+    def energy_in(self, part: np.ndarray, touches: torch.Tensor, u: torch.Tensor) -> np.ndarray:
+        """See `Elasticity`; where the elements' law is that of small strain."""
+        index = wp.from_torch(touches)
+        super().forces(index, wp.from_torch(1e-4 * u))
+        out = super().energy_in(part, touches, u)
+        self.forces(index, wp.from_torch(u))
         return out
 
     def law_error(self, touches: torch.Tensor, u: torch.Tensor) -> np.ndarray:

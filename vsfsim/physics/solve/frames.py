@@ -108,10 +108,12 @@ class Frames:
     """How well the contact is resolved: radius of a circle of its area over the edge of the elements there (T, B) [-];
     NaN between two soft bodies."""
     mesh_error: np.ndarray
-    """Estimated error of the force by elements (`mesh.resolved`) and small strain (T, B) [-]; NaN where it is
+    """Estimated error of the force by elements (`mesh.resolved`), small strain and supports (T, B) [-]; NaN where it is
     not known: of membranes, between two soft bodies, and of elements that are no tetrahedra."""
     law_error: np.ndarray
     """The part of it by small strain (T, B) [-], see `LinearElasticity.law_error`; NaN likewise."""
+    support_error: np.ndarray
+    """The part of it by a box that holds the body and ends inside elements (T, B) [-], see `audit`; NaN likewise."""
     corner_det_f: np.ndarray
     """Least det F at the corners of the tetrahedra in contact (T, B) [-]; NaN likewise."""
     rotation: np.ndarray
