@@ -55,10 +55,10 @@ def face_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
     return np.linalg.norm(share[mesh.faces].sum(axis=1), axis=1)
 
 
-def node_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
-    """Contact pressure at every node (n,) [Pa]: the mean over the boundary triangles around it, see `face_pressure`."""
+def node_pressure(mesh: QuadraticMesh, pressure: np.ndarray) -> np.ndarray:
+    """Contact pressure at every node (n,) [Pa]: the mean over the boundary triangles around it, with the ``pressure``
+    of `face_pressure`."""
     area = np.repeat(mesh.face_area()[:, None], 6, axis=1)
-    pressure = np.broadcast_to(face_pressure(mesh, surface_force)[:, None], area.shape)
     total, around = (np.bincount(mesh.faces.ravel(), values.ravel(), len(mesh.points))
-                     for values in (area * pressure, area))
+                     for values in (area * pressure[:, None], area))
     return total / np.where(around > 0.0, around, 1.0)

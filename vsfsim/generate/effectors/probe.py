@@ -229,7 +229,8 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
     edge, full, at_contact = model.element_size, spec.inward - 1, edge_at(model, aim.target)
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
     body = Elements.of_quadratic(model.mesh.points, model.mesh.tets, model.young_modulus.mean(axis=1))
-    pressure = np.stack([node_pressure(model.mesh, f) for f in np.nan_to_num(push)])
+    faces = np.stack([face_pressure(model.mesh, f) for f in push])
+    pressure = np.stack([node_pressure(model.mesh, p) for p in np.nan_to_num(faces)])
     deep = [f"The probe starts {1e3 * begun:.1f} mm inside the body, so depth counts from there "
             "and not from first contact; move from in [press] back to where the probe is free."]
     deep = deep if begun > 0.05 * way.max() else []  # less is the faceting of a round body
@@ -261,7 +262,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
         caption="left: cut open where it is pressed; right: the whole body",
         panels=_panels(model, body, scene.bodies, placed, moved, pressure / 1e3, full),
-        body=(body, moved, scene.probe, pressure), arrays=_arrays(model, placed, moved, push))
+        body=(body, moved, scene.probe, pressure), arrays=_arrays(model, placed, moved, push, faces))
 
 
 def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force: np.ndarray, slipping: float) -> str:
@@ -317,7 +318,8 @@ def _panels(model: Model, body: Elements, shapes: tuple[ProbeShape, ...], poses:
     return panels
 
 
-def _arrays(model: Model, poses: np.ndarray, moved: np.ndarray, push: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+def _arrays(model: Model, poses: np.ndarray, moved: np.ndarray, push: np.ndarray,
+            pressure: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
     mesh = model.mesh
     return {
         "points": (mesh.points, "nodes at rest, world (n, 3) [m]"),
@@ -326,8 +328,7 @@ def _arrays(model: Model, poses: np.ndarray, moved: np.ndarray, push: np.ndarray
         "surface_nodes": (mesh.surface_nodes(), "nodes on the boundary (s,)"),
         "displacement": (moved, "of every node (T, n, 3) [m]"),
         "contact_force": (push, "on every surface node (T, s, 3) [N]"),
-        "contact_pressure": (np.stack([face_pressure(mesh, f) for f in push]),
-                             "mean over every boundary triangle (T, f) [Pa]"),
+        "contact_pressure": (pressure, "mean over every boundary triangle (T, f) [Pa]"),
         "young_modulus": (model.young_modulus.mean(axis=1), "mean of every tetrahedron (m,) [Pa]"),
         "poses": (poses, "rigid bodies to world (T, K, 4, 4) [m]")}
 

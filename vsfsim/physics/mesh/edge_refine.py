@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.core.solid import Solid, tet_volumes
-from vsfsim.physics.mesh.quadratic import round_middles
+from vsfsim.physics.mesh.quadratic import edges_of, round_middles
 from vsfsim.physics.mesh.surface_distance import crossings
 
 GROWTH = 0.8
@@ -122,7 +122,7 @@ def _divide(solid: Solid, near: cKDTree, size: np.ndarray, most: int) -> Solid:
 
 def _edges(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ends of all edges (e, 2), the edges of each tetrahedron (m, 6), and the rank of each edge by its length (e,)."""
-    ends, edge = np.unique(np.sort(tets[:, _PAIRS], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
+    ends, edge = edges_of(tets, _PAIRS)
     length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
     # Equal lengths tie by the distances of their middles from the middle of the box, so that the mesh of a box stays
     # its own mirror image; rounded, so that they do so on every machine.
@@ -130,7 +130,7 @@ def _edges(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarr
     keys = np.round(np.column_stack([-middle, length]) / length.max(), 9)
     rank = np.empty(len(ends), np.int64)
     rank[np.lexsort((np.arange(len(ends)), *keys.T))] = np.arange(len(ends))
-    return ends, edge.reshape(-1, 6), rank
+    return ends, edge, rank
 
 
 def _bisect(tets: np.ndarray, parent: np.ndarray, edge: np.ndarray, rank: np.ndarray,

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.physics.elements import gas
+from vsfsim.physics.mesh.quadratic import edges_of
 
 # nodes in all and on the rim of the Punyo's published mesh; Euler's formula then gives its 714 triangles
 READ_OUT, _RIM = 390, 64
@@ -201,9 +202,7 @@ def cut(flat: np.ndarray, triangles: np.ndarray, rim: np.ndarray, semi_axes: tup
         flat, triangles, rim and dome of the new mesh: the first n nodes are the old ones, and those that are new on the
         rim lie on the ellipse.
     """
-    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    edge_of = inverse.reshape(-1, 3)
+    edges, edge_of = edges_of(triangles, [[0, 1], [1, 2], [2, 0]])
     halved = np.zeros(len(edges), bool)
     halved[edge_of[which]] = True
     while True:

@@ -88,7 +88,6 @@ class RodSolver:
                  options: RodOptions | None = None):
         self.models, self.shapes = list(models), list(shapes)
         self.device, self.options = device, options or RodOptions()
-        assert self.models and self.shapes
         if len(self.shapes) > MOST_CAPSULES:
             raise RodError(f"{len(self.shapes)} capsules, at most {MOST_CAPSULES} can touch plants together.")
         thinnest = min(shape.radius for shape in self.shapes)
@@ -115,8 +114,8 @@ class RodSolver:
         p, b = len(poses), len(plant)
         plan = np.tile(np.arange(p), (b, 1)) if plan is None else np.asarray(plan)
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
-        assert poses.shape[1:] == (b, len(self.shapes), 4, 4) and poses.size and np.isfinite(poses).all()
-        assert len(plan) == b and np.isin(plan, np.arange(p)).all() and ((friction >= 0.0) & (friction <= 10.0)).all()
+        if poses.shape != (p, b, len(self.shapes), 4, 4) or not (poses.size and np.isfinite(poses).all()):
+            raise RodError(f"poses are {poses.shape}; give finite ones of {b} touches by {len(self.shapes)} capsules.")
         t, options = plan.shape[1], self.options
         sizes = {"B": b, "N": max(len(m.plant.nodes) for m in self.models), "T": t, "K": len(self.shapes),
                  "C": options.room, "D": max(len(m.arrays["level"]) for m in self.models) + 1,
