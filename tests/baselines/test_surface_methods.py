@@ -64,7 +64,8 @@ def test_a_contact_is_where_the_probe_is_deepest(shape, tip):
 
 
 def drawn(rng, learned, count):
-    """Touches of a flat object whose forces are drawn from a Gaussian process with the parameters ``learned``."""
+    """Touches of a flat object whose forces are drawn from a Gaussian process with the parameters ``learned``: the
+    view, forces, readings, contacts, and the covariances of the springs."""
     gp = SurfaceGp()
     gp._learned = learned
     view = mock_view(0, touches=count, seed=int(rng.integers(1 << 30)))
@@ -72,12 +73,13 @@ def drawn(rng, learned, count):
     surface = SurfaceView(view.view)
     contacts = [surface.contact(r.action) for r in readings]
     inputs = np.stack([np.concatenate([c.place, r.action.axis]) for c, r in zip(contacts, readings)])
-    table = gp._covariances(inputs, inputs, same=True).transpose(0, 2, 1, 3).reshape(2 * count, 2 * count)
-    w = (np.linalg.cholesky(table + 1e-12 * np.eye(2 * count)) @ rng.standard_normal(2 * count)).reshape(count, 2)
+    table = gp._covariances(inputs, inputs, same=True)
+    root = np.linalg.cholesky(table.transpose(0, 2, 1, 3).reshape(2 * count, 2 * count) + 1e-12 * np.eye(2 * count))
+    w = (root @ rng.standard_normal(2 * count)).reshape(count, 2)
     forces = [functions(c.depth) @ k for c, k in zip(contacts, w)]
     noise = np.sqrt(gp._noise)
     return view.view, forces, [Reading(r.action, (f + noise * rng.standard_normal(len(f)))[:, None],
-                                       np.ones(len(f), bool)) for r, f in zip(readings, forces)]
+                                       np.ones(len(f), bool)) for r, f in zip(readings, forces)], contacts, table
 
 
 def process(reach, shares, level=4.0):
@@ -89,14 +91,10 @@ def test_surface_gp_is_the_process_in_full():
     """The projected touches give the posterior of the full covariance of all readings, written down directly."""
     rng = np.random.default_rng(0)
     learned = process(0.02, [0.3, 0.6, 0.1])
-    view, _, readings = drawn(rng, learned, 8)
+    view, _, readings, contacts, table = drawn(rng, learned, 8)
     gp = SurfaceGp()
     gp._learned = learned
     gp.adapt(view, readings[:5])
-    surface = SurfaceView(view)
-    contacts = [surface.contact(r.action) for r in readings]
-    inputs = np.stack([np.concatenate([c.place, r.action.axis]) for c, r in zip(contacts, readings)])
-    table = gp._covariances(inputs, inputs, same=True)
     phi = [functions(c.depth) for c in contacts]
 
     def covariance(a, b):
@@ -121,11 +119,11 @@ def test_surface_gp_finds_the_process_that_made_the_forces():
     learned = process(0.02, [0.1, 0.85, 0.05])
     made = [drawn(rng, learned, 16) for _ in range(12)]
     gp = SurfaceGp()
-    gp.meta_fit([Specimen(f"{k}", view, tuple(readings)) for k, (view, _, readings) in enumerate(made)])
+    gp.meta_fit([Specimen(f"{k}", view, tuple(readings)) for k, (view, _, readings, *_) in enumerate(made)])
     assert 1 / 1.6 < np.exp(gp._learned["reach"]) / 0.02 < 1.6
     score = []
     for _ in range(12):
-        view, forces, readings = drawn(rng, learned, 16)
+        view, forces, readings, *_ = drawn(rng, learned, 16)
         gp.adapt(view, readings[:8])
         actions = [r.action for r in readings[8:]]
         for f, a, s in zip(forces[8:], gp.predict(actions), gp.predict_std(actions)):

@@ -13,22 +13,16 @@ from vsfsim.physics import runtime
 SCENES = "shoes-v3-mini", "shoes-v2-punyo-mini", "plants-v5-mini"  # solids, a bubble, plants
 
 
-@pytest.fixture
-def modules(monkeypatch):
-    """Those that `compile_kernels` loads on a GPU."""
-    found = {}
+@pytest.mark.slow
+def test_every_kernel_of_a_scene_compiles_for_a_gpu(monkeypatch, tmp_path):
+    found = {}  # those that `compile_kernels` loads on a GPU
     with monkeypatch.context() as patch:
         patch.setattr(runtime, "check_device", lambda device: None)
         patch.setattr(wp, "get_device", lambda device: SimpleNamespace(is_cpu=False, alias=device))
         patch.setattr(wp.Module, "load", lambda module, **_: found.setdefault(module.name, module))
         for scene in SCENES:
             runtime.compile_kernels(kernels_of(load_scene(find_scene(scene)).sample(0), "float64"), "cuda:0")
-    return found
-
-
-@pytest.mark.slow
-def test_every_kernel_of_a_scene_compiles_for_a_gpu(modules, tmp_path):
     # NVRTC compiles for a Hopper card wherever Warp is installed
-    for module in modules.values():
-        wp.compile_aot_module(module, arch=90, module_dir=tmp_path / module.name, use_ptx=True)
-        assert list((tmp_path / module.name).glob("*.ptx")), module.name
+    for name, module in found.items():
+        wp.compile_aot_module(module, arch=90, module_dir=tmp_path / name, use_ptx=True)
+        assert list((tmp_path / name).glob("*.ptx")), name
