@@ -14,11 +14,6 @@ from vsfsim.bench.task import load_task
 from vsfsim.core.errors import MethodError
 
 
-@pytest.fixture(scope="module")
-def task():
-    return load_task("fewshot-shoes-v3-mini-v1")
-
-
 def test_the_solid_is_what_the_view_shows():
     view = mock_view(0).view
     solid = seen_solid(view, 0.014)
@@ -39,12 +34,12 @@ def test_a_view_without_a_solid_is_refused():
 
 
 @pytest.mark.slow
-def test_touches_tell_the_moduli(task, tmp_path):
+def test_touches_tell_the_moduli(tmp_path):
     method = FemMapSeen(objects=1, presses=2, size=0.02, steps=3)
     with pytest.raises(MethodError, match="no moduli yet"):
         method.adapt(mock_view(0).view, [])
+    view, task = mock_view(1), load_task("fewshot-shoes-v3-mini-v1")
     method.meta_fit([specimen(mock_view(0, split="train", touches=3), task)])
-    view = mock_view(1)
     recording = record(view, task)
     asked, true = recording.queries[1].action, recording.clean[1]
 

@@ -26,14 +26,9 @@ from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
 
 
-@pytest.fixture(scope="module")
-def seen():
+def test_the_grid_separates_stiff_from_soft_by_total_forces():
     view = mock_view(0, touches=10)
-    return view, record(view, load_task("fewshot-shoes-v3-mini-v1"))
-
-
-def test_the_grid_separates_stiff_from_soft_by_total_forces(seen):
-    view, recording = seen
+    recording = record(view, load_task("fewshot-shoes-v3-mini-v1"))
     method = GridVsf(iterations=60, batch=400, samples=12, rate=0.3)
     method.adapt(view.view, recording.readings[:9])
     points = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, 9), np.linspace(-0.02, 0.02, 9), [0.024, 0.026, 0.028],

@@ -22,11 +22,6 @@ def oracle(task, toy_dataset, toy_views, tmp_path_factory):
     return result, [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
 
 
-@pytest.fixture(scope="module")
-def constant(task, toy_dataset):
-    return evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": 2.0})
-
-
 def test_an_oracle_scores_exactly_zero(oracle):
     for label in ("0", "1", "5", "all"):
         assert (oracle[0].scores["rmse"][label].mean, oracle[0].scores["rmse"][label].std) == (0.0, 0.0)
@@ -38,7 +33,8 @@ def query_errors(task, toy_views):
             for touch in (view.touches[i] for i in divide(view, task.protocol).query)]
 
 
-def test_a_constant_scores_what_a_hand_computes(constant, task, toy_views):
+def test_a_constant_scores_what_a_hand_computes(task, toy_dataset, toy_views):
+    constant = evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": 2.0})
     want = np.mean([np.sqrt(np.mean(e**2)) for e in query_errors(task, toy_views)])
     for label in constant.shots:
         assert constant.scores["rmse"][label].mean == pytest.approx(want, rel=1e-12), label

@@ -257,6 +257,8 @@ def test_a_good_dataset_has_no_problems_and_its_summary_tells_the_main_figures(b
     assert told["objects"] == "3 in 3 views: 2 train, 1 test" and told["touches"] == "12, 3 met nothing"
     top = max(t.normal_force().max() for v in VIEWS for t in v.touches)
     assert told["normal force"].startswith(f"0 to {top:.3g} N")
+    stiff = np.concatenate([v.truth.young_modulus[v.truth.region == 1] for v in VIEWS])
+    assert told["  stiff"] == f"{stiff.min():.3g} to {stiff.max():.3g} Pa"
 
 
 def test_a_file_that_is_open_in_another_program_is_not_called_damaged(made):

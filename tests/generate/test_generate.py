@@ -73,11 +73,14 @@ def test_two_workers_give_the_same_bits(made, scene, tmp_path):
     assert contents(tmp_path / "two") == contents(made.path)
 
 
-def test_another_seed_gives_another_dataset_and_more_objects_keep_the_first(made, scene, tmp_path):
+def test_another_seed_gives_another_dataset_and_more_objects_and_views_keep_the_first(made, scene, tmp_path):
     other = generate(scene, tmp_path / "seed", seed=1, objects=1, workers=1)
     assert other.entries[0].sha256 != made.entries[0].sha256
     assert other.load("tiny-0000-v0").truth.young_modulus.min() != made.load("tiny-0000-v0").truth.young_modulus.min()
-    again = generate(scene, tmp_path / "first", objects=1, workers=1)
+    again = generate(scene, tmp_path / "first", objects=1, views=3, workers=1)
+    # the camera goes round the object counter-clockwise, a third of a turn a view
+    turned = np.unwrap([np.arctan2(*v.view.camera_pose[1::-1, 2]) for v in again])
+    assert np.diff(turned) == pytest.approx(2.0 * np.pi / 3.0)
     a, b = again.load("tiny-0000-v0"), made.load("tiny-0000-v0")
     assert all(np.array_equal(p.force, q.force) for p, q in zip(a.touches, b.touches))
 

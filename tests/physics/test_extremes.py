@@ -8,6 +8,7 @@ from frame_checks import from_above, numbers_stand_for_equilibria, rollers
 
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid, smallest_sine
+from vsfsim.generate.record import REASONS
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
@@ -108,6 +109,7 @@ def test_a_crushed_element_is_marked(device):
     options = SolverOptions(tolerance=1e-3)
     frames = Solver(rollers(model, held), Plane(), device=device, options=options).run(poses)
     assert frames.reason[:, 0].tolist() == [Reason.NONE, Reason.NONE, Reason.NONE, Reason.CRUSHED]
+    assert all(REASONS[reason - 1] == reason.text for reason in Reason if reason), "datasets say why in words"
     assert frames.min_det_f[-1, 0] < 0.1 < frames.min_det_f[2, 0]
     assert frames.iterations[-1, 0] < 30, "the same equilibrium found twice is enough; 63 shorter steps took 68"
     for name in OF_AN_EQUILIBRIUM:

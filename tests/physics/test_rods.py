@@ -65,6 +65,8 @@ def test_friction_sticks_then_slips_both_ways(device):
     force = frames.force[13:, 0, 0]
     ratio = force[:, 1] / np.hypot(force[:, 0], force[:, 2])
     assert np.abs(ratio).max() < 1.001 * mu  # the cone, to ten times the solver's tolerance
+    # what the press has left along the stem stays as the drag begins
+    assert force[0, 2] == pytest.approx(frames.force[12, 0, 0, 2], rel=0.1)
     # a round stem is as stiff sideways: it sticks for mu times 12 mm of drag
     at = drag / 0.012
     stick = drag < 0.9 * mu * 0.012

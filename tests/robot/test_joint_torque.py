@@ -12,21 +12,15 @@ def arm():
     return Arm(punyo=True)
 
 
-@pytest.fixture(scope="module")
-def case(arm):
-    rng = np.random.default_rng(7)
-    shape = (6, len(arm.shapes), 3)
-    return rng.uniform(-2.0, 2.0, (6, 7)), 10.0 * rng.normal(size=shape), rng.normal(size=shape)
-
-
 def body(arm, k):
     return arm.body_ids[arm.capsule_links[k]]
 
 
-def test_torques_are_those_of_mujocos_inverse_dynamics(arm, case):
+def test_torques_are_those_of_mujocos_inverse_dynamics(arm):
     """The acceleration that forces on the bodies bring is put into mj_inverse: it asks for J^T f at the joints,
     friction aside."""
-    q, force, moment = case
+    rng, shape = np.random.default_rng(7), (6, len(arm.shapes), 3)
+    q, force, moment = rng.uniform(-2.0, 2.0, (6, 7)), 10.0 * rng.normal(size=shape), rng.normal(size=shape)
     got, poses = body_torque(arm, arm.postures(q), force, moment=moment), arm.body_poses(q)
     data = mujoco.MjData(arm.model)
     for t in range(len(q)):

@@ -23,19 +23,9 @@ def dome(points):
     return np.column_stack([points, 0.030 * np.maximum(1.0 - rho**2, 0.0)])
 
 
-@pytest.fixture(scope="module")
-def fine():
-    return flat(17)
-
-
-@pytest.fixture(scope="module")
-def coarse():
-    return flat(6)
-
-
 @pytest.mark.parametrize("where", ["everywhere", "one node", "rim"])
-def test_net_force_and_moment_are_kept(fine, coarse, where):
-    rng = np.random.default_rng(1)
+def test_net_force_and_moment_are_kept(where):
+    rng, fine, coarse = np.random.default_rng(1), flat(17), flat(6)
     points = np.stack([dome(fine.flat), dome(fine.flat) + 0.002 * rng.standard_normal((len(fine.flat), 3))])
     force = rng.standard_normal(points.shape)
     if where == "one node":

@@ -14,15 +14,9 @@ from vsfsim.core.errors import TaskError
 DEVELOPED = 'development = { folder = "toy-development", seed = 5, objects = 3 }, tier'
 
 
-@pytest.fixture(scope="module")
-def kept(task, toy_dataset, tmp_path_factory):
-    path = tmp_path_factory.mktemp("results") / "constant.json"
-    evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": 2.0}, out=path)
-    return path
-
-
-def test_the_worst_object_and_touch_come_first(kept, task, toy_views):
-    text, numbers = inspect_result(kept)
+def test_the_worst_object_and_touch_come_first(task, toy_dataset, toy_views, tmp_path):
+    evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": 2.0}, out=tmp_path / "constant.json")
+    text, numbers = inspect_result(tmp_path / "constant.json")
     by_hand = {}
     for view in toy_views[1:]:
         for index in divide(view, task.protocol).query:

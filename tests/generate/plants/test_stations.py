@@ -33,13 +33,9 @@ def scene(folder, **more):
     return path
 
 
-@pytest.fixture(scope="module")
-def plant(tmp_path_factory):
-    return grow(load_scene(scene(tmp_path_factory.mktemp("plant"))).sample(0), 0)
-
-
-def test_points_of_a_branch_have_their_places_along_it(plant):
+def test_points_of_a_branch_have_their_places_along_it(tmp_path):
     """The visible points of a branch and their places, few of another branch."""
+    plant = grow(load_scene(scene(tmp_path)).sample(0), 0)
     rng, points, owner = np.random.default_rng(0), [], []
     for i in range(1, len(plant.nodes)):
         share = rng.uniform(size=(20, 1))

@@ -51,6 +51,8 @@ def test_tetrahedra_are_small_along_the_edges_of_a_punch(shape):
     size = 1.3 * 0.25 * 0.5 * SIDE
     assert (longest <= size + GROWTH * away + 1e-12).all() and longest[away > 0.025].max() > 0.9 * CELL
     assert len(tets) < len(fine.tets) < 7500
+    some, part = refine_near(plain, path, 0.05)  # as small as there may be elements for
+    assert part > 0.05 and len(fine.tets) < len(some.tets) <= 2 * len(tets) + 12_000
 
 
 def test_a_centred_punch_leaves_the_mesh_its_mirror_image():
