@@ -38,7 +38,7 @@ def test_a_probe_survives_its_table(shape):
     assert parse_probe_shape(probe_table(shape), "x") == shape
 
 
-def test_distance_to_inclusions():
+def test_distance_to_inclusions_and_their_thickness():
     ball = Inclusion("sphere", (0.1, 0.0, 0.0, 0.05), 1e6)
     assert ball.distance(np.array([[0.1, 0.0, 0.0], [0.1, 0.0, 0.05],
                                    [0.1, 0.13, 0.0]])) == pytest.approx([-0.05, 0.0, 0.08])
@@ -49,6 +49,7 @@ def test_distance_to_inclusions():
     pill = Inclusion("capsule", (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.25), 1e6)
     assert pill.distance(np.array([[0.0, 0.0, 0.5], [1.0, 0.0, 0.3],
                                    [0.0, 0.0, 2.0]])) == pytest.approx([-0.25, 0.75, 0.75])
+    assert (ball.thickness, block.thickness, pill.thickness) == (0.1, 2.0, 0.5)
     point = Inclusion("capsule", (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.25), 1e6)
     assert point.distance(np.zeros((1, 1, 3))) == pytest.approx(np.array([[0.75]]))
 

@@ -55,6 +55,15 @@ def test_an_edge_is_felt_from_the_first_touch_on_wherever_it_is(model, device, k
     assert (np.linalg.norm(frames.force[1:, :, :2], axis=2) < 0.5 * force[1:]).all()
 
 
+def test_an_edge_that_its_file_divides_stands_for_the_same_length(tmp_path):
+    """The whole one, but for half a spacing at the corners of the box."""
+    plain = trimesh.creation.box((0.02, 0.02, 0.02))
+    for name, mesh in (("plain", plain), ("divided", plain.subdivide().subdivide())):
+        mesh.export(tmp_path / f"{name}.stl")
+        stands = sharp_samples(MeshFile(str(tmp_path / f"{name}.stl"), 1.0), 0.002)[2]
+        assert stands.sum() == pytest.approx(12 * 0.02, rel=0.11)
+
+
 @pytest.mark.parametrize("kind", ["corner", "edge"])
 def test_the_energy_is_the_work_of_an_edge(model, device, kind):
     """With the indentation that the mesh is too coarse for: most of the energy at first."""
