@@ -13,7 +13,6 @@ import socket
 import sys
 import time
 from multiprocessing import shared_memory
-from statistics import median
 
 from toy_methods import Constant
 
@@ -155,16 +154,18 @@ def every_mount(do):
 
 
 def page_cache(missing, first=0):
-    """Every second of 16 pages of a file that all see is in memory; ``missing`` is larger for the others."""
+    """Two of every four pages of a file that all see are in memory, of 16; ``missing`` is larger for the others. A disk
+    that reads several pages at once makes one of two neighbours quick, so that nearly all must be as they should."""
     def way(do):
         with open(os.path.join(os.path.dirname(os.__file__), "pydoc_data", "topics.py"), "rb") as file:
             handle, places = file.fileno(), range(first, first + (1 << 18), 1 << 14)
             os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_RANDOM)
             if do == "take":
                 found = [missing(handle, place) for place in places]
-                return median(found[1::2]) > 5.0 * median(found[::2])
+                inside, outside = (sorted(found[k::4] + found[k + 1::4]) for k in (0, 2))
+                return outside[2] > 5.0 * inside[-3]
             os.posix_fadvise(handle, first, 1 << 18, os.POSIX_FADV_DONTNEED)
-            return [os.pread(handle, 1, place) for place in places[::2]] and None
+            return [os.pread(handle, 1, place) for k in (0, 1) for place in places[k::4]] and None
 
     return way
 
