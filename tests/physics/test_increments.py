@@ -11,8 +11,6 @@ from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
-USUAL = SolverOptions(tolerance=5e-4)
-
 
 @pytest.mark.parametrize("linear", [False, True])
 def test_twenty_millimetres_in_one_frame_give_what_small_steps_give(block, line, device, linear):
@@ -33,7 +31,8 @@ def test_a_path_that_begins_inside_the_object_is_marked(block, line, device, lin
     both = np.concatenate([line([[x, 0.0, 0.04 - z] for z in (0.0, 0.004)], probe) for x in (0.0, 0.01)], axis=1)
     start = from_above(both)
     start[1, :3, 3] = 0.01, 0.0, 0.03
-    frames = Solver(model, probe, device=device, linear=linear, options=USUAL).run(both, start=start)
+    solver = Solver(model, probe, device=device, linear=linear, options=SolverOptions(tolerance=5e-4))
+    frames = solver.run(both, start=start)
     assert frames.converged[:, 0].all() and (frames.reason[:, 1] == Reason.PATH).all()
     assert np.isnan(frames.force[:, 1]).all()
 

@@ -86,13 +86,21 @@ def test_focus_grades_the_box() -> None:
     check_boundary(graded)
 
 
-@pytest.mark.parametrize(("face", "added"), [(-0.05 + 1e-6, 0), (-0.025, 0), (-0.021, 1), (0.046, 1), (0.0499, 0)])
-def test_a_box_that_holds_a_block_adds_a_layer_only_where_none_ends(face: float, added: int) -> None:
-    spec = dataclasses.replace(SPEC, fixed=(-1.0, -1.0, -1.0, face, 1.0, 1.0))
-    plain = build_solid(spec, resolution=0.025)
-    held = build_solid(spec, resolution=0.025, parts=beside_supports(spec, plain.vertices, 0.025))
-    assert np.array_equal(held.vertices, plain.vertices) != bool(added)
-    assert np.abs(held.vertices[:, 0] - face).min() < (1e-12 if added else 0.1 * 0.025)
+def test_a_box_that_holds_a_body_ends_at_layers_of_its_elements() -> None:
+    rng = np.random.default_rng(0)
+    for shape, axis in [(SPEC.shape, 0), (SPEC.shape, 2), (Cylinder(0.03, 0.08), 2)] * 30:
+        size, fixed = rng.uniform(0.006, 0.025), np.outer([-1.0, 1.0], np.ones(3))
+        plain, near = solid_of(shape, size).vertices, 0.1 * size
+        low, high = plain[[0, -1], axis]
+        ends = np.sort(rng.uniform(low + near, high - 2.0 * near, 2))
+        first, last = fixed[:, axis] = ends + [-rng.integers(2), near]  # half of them cut the body once
+        spec = dataclasses.replace(SPEC, shape=shape, fixed=tuple(fixed.ravel()))
+        levels = solid_of(shape, size, parts=beside_supports(spec, plain, size)).vertices[:, axis]
+        held = levels[(levels > first - 1e-9) & (levels < last + 1e-9)]
+        assert held.min() - max(first, low) < near and last - held.max() < near
+    # a layer ends there
+    spec = dataclasses.replace(spec, fixed=(-1.0, -1.0, -1.0, 1.0, 1.0, 0.04))
+    assert not len(beside_supports(spec, solid_of(shape, 0.02).vertices, 0.02))
 
 
 def test_refusals() -> None:

@@ -11,17 +11,15 @@ POST = (0.01, 0.01, 0.06)
 TURN = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # a capsule's axis along y
 
 
-def way(start, stop, frames, turn=None):
+def way(start, stop, frames):
     """``frames`` poses (T, 1, 4, 4) from ``start`` (3,) to ``stop`` (3,) [m], and the pose (1, 4, 4) at the start."""
     poses = np.tile(np.eye(4), (frames + 1, 1, 1, 1))
     poses[:, 0, :3, 3] = np.linspace(start, stop, frames + 1)
-    if turn is not None:
-        poses[:, 0, :3, :3] = turn
     return poses[1:], poses[0]
 
 
-def press(model, probe, start, stop, frames, turn=None):
-    poses, first = way(start, stop, frames, turn)
+def press(model, probe, start, stop, frames):
+    poses, first = way(start, stop, frames)
     return Solver(model, probe).run(poses, start=first)
 
 

@@ -72,7 +72,8 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
 def beside_supports(spec: ObjectSpec, vertices: np.ndarray, resolution: float) -> np.ndarray:
     """What lies beside the box that holds a body, as ``parts`` (p, 2, 3) [m] of `build_solid`, two elements thick and
     more; none where layers of its elements end at the faces of the box. The nodes in the box are held: where a face
-    lies between two layers, what is free is longer than the scene says.
+    lies between two layers, what is free is longer than the scene says. If one face needs a layer all faces inside the
+    body get theirs, as layers move together.
 
     Args:
         spec: the object, held by a box.
@@ -82,16 +83,16 @@ def beside_supports(spec: ObjectSpec, vertices: np.ndarray, resolution: float) -
     ends = np.array([vertices.min(axis=0), vertices.max(axis=0)])
     faces = np.sort(np.reshape(spec.fixed, (2, 3)), axis=0)
     near = NEAR * np.minimum(resolution, 0.5 * (ends[1] - ends[0]))
-    beside = np.array([ends, ends])
+    beside, missing = np.array([ends, ends]), False
     for axis in LAYERED.get(type(spec.shape), ()):
         (low, high), (first, last) = ends[:, axis], faces[:, axis]
         for side, face, end, outward in ((0, first, low, -1.0), (1, last, high, 1.0)):
-            into = (face - vertices[:, axis]) * outward
-            held = ((into >= -1e-9) & (into <= near[axis])).any()
-            if min(face - low, high - face, last - first) > near[axis] and not held:
+            if min(face - low, high - face, last - first) > near[axis]:
+                into = (face - vertices[:, axis]) * outward
+                missing |= not ((into >= -1e-9) & (into <= near[axis])).any()
                 room = 2.0 * resolution if abs(end - face) > 3.0 * resolution else abs(end - face)
                 beside[side, :, axis] = np.sort([face, face + outward * room])
-    return beside[(beside != ends).any(axis=(1, 2))]
+    return beside[missing & (beside != ends).any(axis=(1, 2))]
 
 
 def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid:
