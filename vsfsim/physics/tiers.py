@@ -19,7 +19,7 @@ from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.catalogue import law_of
 from vsfsim.physics.mesh.account import scan_foot
 from vsfsim.physics.mesh.discretise import beside_supports, build_solid
-from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
+from vsfsim.physics.mesh.edge_refine import MOST_TETS, EdgePath, refine_near
 from vsfsim.physics.mesh.inclusions import held_stiffness, mixed_modulus, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Model, build_model, regional_tetrahedra, tetrahedra
@@ -182,7 +182,6 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
         SceneError, MeshError: the object cannot be built.
     """
     spec = scene.object
-    where = f"{scene.source} [object]"
     field, (turn, shift) = spec.young_modulus, placement(spec)
     boxes = [np.sort(np.reshape(part.numbers, (2, 3)), axis=0) for part in field.inclusions if part.kind == "box"]
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
@@ -190,18 +189,21 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     made = functools.partial(build_solid, spec, resolution=size, rng=np.random.default_rng(seed), focus=local)
     solid = made(parts=np.array(boxes) if boxes else None)
     if not isinstance(spec.fixed, str) and len(beside := beside_supports(spec, solid.vertices, size)):
-        solid = made(parts=np.array([*boxes, *beside]))
+        held = made(parts=np.array([*boxes, *beside]))
+        fits = len(held.tets) <= MOST_TETS[0] * len(solid.tets) + MOST_TETS[1]
+        # too many planes cost a block all of them, also those of its parts
+        solid = held if fits and not len(beside_supports(spec, held.vertices, size)) else solid
     if edges is not None:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
-    modulus = field.of_regions(solid.young_modulus, where)
+    modulus = field.of_regions(solid.young_modulus, f"{scene.source} [object]")
     if not field.inclusions:
         region = np.repeat(np.asarray(solid.region)[:, None], 4, axis=1)
         return solid, field.evaluate(gauss_points(solid), region, modulus)
     solid = snap_to_inclusions(solid, field)
     values = mixed_modulus(solid, field, modulus)
     share = held_stiffness(solid, field, modulus, values)
-    off = np.abs(share - 1.0)
-    solid = dataclasses.replace(solid, notes=(*solid.notes, *part_notes(field, share)), parts=float(off.max()))
+    solid = dataclasses.replace(solid, notes=(*solid.notes, *part_notes(field, share)),
+                                parts=float(np.abs(share - 1.0).max()))
     return solid, np.repeat(values[:, None], 4, axis=1)
 
 

@@ -56,9 +56,8 @@ def test_a_nub_beside_a_ball_gets_elements_of_its_own():
 def test_det_f_at_corners_is_that_of_the_displacements(block):
     model = block((0.02, 0.02, 0.02), 0.01)
     points, tets = model.mesh.points, model.mesh.tets
-    rng = np.random.default_rng(0)
     # a quadratic field, whose gradient at the corners is known
-    bend = rng.normal(size=(3, 3, 3)) * 20.0
+    bend = np.random.default_rng(0).normal(size=(3, 3, 3)) * 20.0
     u = np.einsum("cij,ni,nj->nc", bend, points, points)
     at = points[np.unique(tets[:, :4])]
     exact = np.linalg.det(np.eye(3) + np.einsum("cij,nj->nci", bend, at) + np.einsum("cij,ni->ncj", bend, at))

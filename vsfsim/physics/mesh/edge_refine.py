@@ -25,11 +25,12 @@ from vsfsim.physics.mesh.surface_distance import crossings
 
 GROWTH = 0.8
 """Growth of the longest edge of a tetrahedron with the distance [-]."""
+# tetrahedra that there may be, here or with layers at supports: so many times those before, and so many more
+MOST_TETS = (2, 12_000)
 _PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 _PASSES = 60  # rounds of division; three halve an edge
 _FOLDED = 0.2  # least volume of a tetrahedron whose new corners lie on a round surface, over that without
 _LONGEST = 1.3  # longest edge of a tetrahedron over the size asked for: a cube's five have its edge and its diagonal
-_MOST_TETS = (2, 12_000)  # tetrahedra that there may be: so many times those before, and so many more
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def refine_near(solid: Solid, edges: EdgePath, part: float) -> tuple[Solid, floa
     places, which = edges.meets(solid)
     if not len(places):
         return solid, part
-    near, most = cKDTree(places), _MOST_TETS[0] * len(solid.tets) + _MOST_TETS[1]
+    near, most = cKDTree(places), MOST_TETS[0] * len(solid.tets) + MOST_TETS[1]
     while True:
         divided = _divide(solid, near, _LONGEST * part * edges.half[which], most)
         if len(divided.tets) <= most:
