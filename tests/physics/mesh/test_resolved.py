@@ -192,4 +192,4 @@ def test_supports_that_end_inside_elements_are_told():
     coarse, fine = (press_of("cylinder = [0.03, 0.004]", {**body, "resolution": size}, "sphere = 0.01", 0.0145, 0.006,
                              x=0.02, tier="fem", frames=3) for size in (0.006, 0.004))
     off = abs(float(coarse.normal_force[-1] / fine.normal_force[-1]) - 1.0)
-    assert 0.02 < off < coarse.more["mesh_error"][-1] and "does NOT resolve the supports in 1 of 3" in coarse.text()
+    assert 0.02 < off < coarse.table()["support_error"][-1] and "resolve the supports in 1 of 3" in coarse.text()

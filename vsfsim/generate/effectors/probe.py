@@ -240,8 +240,9 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
         "element_size": prepared.element_size, "edge": edge, "edge_at_contact": at_contact,
         "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance,
-        "inward": spec.inward, "mesh_error": frames.mesh_error[:, 0], "law_error": frames.law_error[:, 0],
-        "corner_det_f": frames.corner_det_f[:, 0], "rotation": frames.rotation[:, 0]}
+        "inward": spec.inward, "parts_error": model.solid.parts,
+        **{name: getattr(frames, name)[:, 0] for name in (
+            "mesh_error", "law_error", "support_error", "corner_det_f", "rotation")}}
     told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], solver.linear * frames.rotation[:, 0],
                     touch.converged, frames.law_error[:, 0], frames.support_error[:, 0])
     said = [*filter(None, [told]),
@@ -262,7 +263,10 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
         headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
         caption="left: cut open where it is pressed; right: the whole body",
         panels=_panels(model, body, scene.bodies, placed, moved, pressure / 1e3, full),
-        body=(body, moved, scene.probe, pressure), arrays=_arrays(model, placed, moved, push, faces))
+        body=(body, moved, scene.probe, pressure), arrays={
+            **_arrays(model, placed, moved, push, faces),
+            "law_error": (more["law_error"], "part of mesh_error by small strain (T,) [-]"),
+            "support_error": (more["support_error"], "part of mesh_error by the box that holds the body (T,) [-]")})
 
 
 def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force: np.ndarray, slipping: float) -> str:
