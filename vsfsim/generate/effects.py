@@ -86,6 +86,22 @@ def _hidden(solid: Solid, field: MaterialField, k: int, part: Inclusion) -> str:
 
 
 
+def check_free(scene: Scene, model: Model, bodies: RigidBodies, pose: np.ndarray) -> None:
+    """Look at what bodies of a press meet at full depth, at a ``pose`` (K, 4, 4) each.
+
+    Raises:
+        SceneError: one meets only what supports hold.
+    """
+    faces, free = model.mesh.faces, model.free.reshape(-1, 3).any(axis=1)
+    for k in range(len(bodies)):
+        there = (model.mesh.points - pose[k, :3, 3]) @ pose[k, :3, :3]
+        met = (bodies.distance(k, there)[faces] < 0.0).any(axis=1)
+        if met.any() and not free[faces[met]].any():
+            raise SceneError(f"{scene.source}: [press] meets the body only where [object] fixed = "
+                             f"{scene.required_object.fixed!r} holds it. What is held is rigid, and a force on it has "
+                             "no meaning. Press where the body may move, or hold less of it.")
+
+
 def nearest(bodies: RigidBodies, poses: np.ndarray, points: np.ndarray) -> Callable[[int], float]:
     """For body number k of some at ``poses`` (T, K, 4, 4): how near it comes to ``points`` (T, n, 3) [m]."""
     return lambda k: min(float(bodies.distance(k, (at - pose[k, :3, 3]) @ pose[k, :3, :3]).min())

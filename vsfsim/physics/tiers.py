@@ -184,9 +184,9 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     spec = scene.object
     field, (turn, shift) = spec.young_modulus, placement(spec)
     boxes = [np.sort(np.reshape(part.numbers, (2, 3)), axis=0) for part in field.inclusions if part.kind == "box"]
-    local = None if focus is None else (np.asarray(focus) - shift) @ turn
     size = element_size(spec, tier, scene.probe)
-    made = functools.partial(build_solid, spec, resolution=size, rng=np.random.default_rng(seed), focus=local)
+    made = functools.partial(build_solid, spec, resolution=size, rng=np.random.default_rng(seed),
+                             focus=None if focus is None else (np.asarray(focus) - shift) @ turn)
     solid = made(parts=np.array(boxes) if boxes else None)
     if not isinstance(spec.fixed, str) and len(beside := beside_supports(spec, solid.vertices, size)):
         held = made(parts=np.array([*boxes, *beside]))

@@ -78,9 +78,8 @@ def test_box_is_symmetric() -> None:
 
 
 def test_focus_grades_the_box() -> None:
-    fine = 0.004
-    focus = np.array([[0.0, 0.0, 0.05]])
-    graded, uniform = solid_of(Box((0.1, 0.1, 0.05)), fine, focus=focus), solid_of(Box((0.1, 0.1, 0.05)), fine)
+    block, focus = Box((0.1, 0.1, 0.05)), np.array([[0.0, 0.0, 0.05]])
+    graded, uniform = solid_of(block, 0.004, focus=focus), solid_of(block, 0.004)
     assert len(graded.tets) < 0.35 * len(uniform.tets)
     assert graded.volume() == pytest.approx(0.1 * 0.1 * 0.05, rel=1e-12)
     check_boundary(graded)

@@ -32,7 +32,7 @@ from vsfsim.physics.contact.law import contact_law_of
 from vsfsim.physics.contact.patch import smooth_radius
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.edge_refine import EdgePath
-from vsfsim.physics.mesh.resolved import in_words, past_small_strain
+from vsfsim.physics.mesh.resolved import TURNED, in_words, past_small_strain
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.increments import inside
@@ -144,7 +144,7 @@ def press(scene: Scene, request: Request) -> PressResult:
     followed = dataclasses.replace(scene.required_object, tier=tiers.FOLLOWS)  # type: ignore[arg-type]
     prepared = prepare(dataclasses.replace(scene, object=followed), request)
     return solve(dataclasses.replace(prepared, notes=(*prepared.notes, (
-        f"Elements turn (by up to {turned.max():.2g} rad) or stretch too far for small strain: "
+        f"Elements {'turn' if (turned > TURNED).any() else 'stretch'} too far for small strain: "
         f"tier '{tiers.FOLLOWS}' was taken."))), request)
 
 
@@ -211,6 +211,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
     begin, placed = body_poses(scene, first[None])[0], body_poses(scene, aim.path)
     gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:moving], begin, strict=False))
     begun = overlap(model, RigidBodies(scene.bodies), begin, str(scene.source))
+    effects.check_free(scene, model, RigidBodies(scene.bodies[:moving]), placed[spec.inward - 1])
     compile_kernels(solver_kernels(elements_of(model.blocks), contact_law_of(scene)[0]), request.device,
                     progress=request.progress)
     options = limited(tiers.options(tier), request)

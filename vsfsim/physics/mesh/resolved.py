@@ -130,8 +130,8 @@ def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray, converge
     loose = small & (2.0 * support**2 > error**2)
     bent = converged & past_small_strain(error, turned, law)
     if bent.any():
-        words.append(f"In {bent.sum()} of {len(error)} frames elements turn (by up to "
-                     f"{turned.max():.2g} rad) or stretch too far for this tier: take --tier fem.")
+        words.append(f"In {bent.sum()} of {len(error)} frames elements "
+                     f"{'turn' if (turned > TURNED).any() else 'stretch'} too far for this tier: take --tier fem.")
     for which, what in ((small & ~loose, "contact in {}: it is small against the elements"),
                         (loose, "supports in {}: the box of `fixed` ends inside elements")):
         if which.any():

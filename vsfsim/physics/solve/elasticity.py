@@ -342,7 +342,8 @@ class LinearElasticity(Elasticity):
         slope = ((force - linear) * step).sum(dim=0)
         bend = (of_law(u - step)[0] - energy + slope).maximum(0.5 * slope.abs()).clamp(min=1e-300)
         self.forces(index, wp.from_torch(u))
-        return 1.5 * ((energy - 0.25 * slope**2 / bend) / small - 1.0).abs().cpu().numpy()
+        error = 1.5 * ((energy - 0.25 * slope**2 / bend) / small - 1.0).abs()
+        return (error * (small > 1e-300)).cpu().numpy()  # what does not move has none
 
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
         """It is always there."""
