@@ -92,7 +92,7 @@ def check_free(scene: Scene, model: Model, bodies: RigidBodies, pose: np.ndarray
     Raises:
         SceneError: one meets only what supports hold.
     """
-    faces, free = model.mesh.faces, model.free.reshape(-1, 3).any(axis=1)
+    faces, free = model.mesh.faces, model.free[::3] > 0.0
     for k in range(len(bodies)):
         there = (model.mesh.points - pose[k, :3, 3]) @ pose[k, :3, :3]
         met = (bodies.distance(k, there)[faces] < 0.0).any(axis=1)

@@ -50,9 +50,9 @@ class Model:
     """Cube root of the mean volume of six tetrahedra, a hexahedron's worth [m]."""
     factor: RestFactor = field(repr=False)
     """Rest-state factor, shared by all touches."""
-    loose: np.ndarray | None = field(default=None, repr=False, kw_only=True)
-    """Part of each element, in the order of the blocks, inside the box that holds the body (m,) [-]; None without a
-    box. It moves where not all nodes of the element are held."""
+    inside_box: np.ndarray | None = field(default=None, repr=False, kw_only=True)
+    """Share of each element, in the order of the blocks, that lies in the box of `fixed` (m,) [-], whether all nodes of
+    the element are held or it moves; None without a box."""
     soft_factor: RestFactor | None = field(default=None, repr=False, kw_only=True)
     """That of a nearly incompressible body with a lower bulk stiffness, see `elements.tet10.softened`."""
 
@@ -184,10 +184,9 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         blocks = elements(placed, acting, poisson_ratio)
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from error
-    loose = None if isinstance(fixed, str) else np.concatenate([
+    inside = None if isinstance(fixed, str) else np.concatenate([
         np.mean([held_nodes(at @ mesh.points[block.nodes[:, :4]], fixed, 0.0) for at in GAUSS], axis=0)
         for block in blocks])
-    stiffness = assemble(len(placed.points), blocks)
     factor = functools.partial(RestFactor.of, free=free, points=placed.points)
     softer = tuple(block.softened() for block in blocks)
     compressible = all(a is b for a, b in zip(softer, blocks, strict=True))
@@ -195,4 +194,4 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 factor(stiffness), loose=loose, soft_factor=soft)
+                 factor(assemble(len(placed.points), blocks)), inside_box=inside, soft_factor=soft)

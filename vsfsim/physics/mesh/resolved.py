@@ -127,13 +127,13 @@ def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray, converge
     ``support`` are the parts of the error that are due to small strain and to the box that holds the body (T,) [-]."""
     words, folded = [], converged & (corner <= 0.0)
     small = converged & (error > LIMIT) & (2.0 * law**2 <= error**2)
-    loose = small & (2.0 * support**2 > error**2)
+    held = small & (2.0 * support**2 > error**2)
     bent = converged & past_small_strain(error, turned, law)
     if bent.any():
         words.append(f"In {bent.sum()} of {len(error)} frames elements "
                      f"{'turn' if (turned > TURNED).any() else 'stretch'} too far for this tier: take --tier fem.")
-    for which, what in ((small & ~loose, "contact in {}: it is small against the elements"),
-                        (loose, "supports in {}: the box of `fixed` ends inside elements")):
+    for which, what in ((small & ~held, "contact in {}: it is small against the elements"),
+                        (held, "supports in {}: the box of `fixed` ends inside elements")):
         if which.any():
             words.append(f"The mesh does NOT resolve the {what.format(f'{which.sum()} of {len(error)} frames')}, and "
                          f"the force is off there by up to {100 * error[which].max():.0f} %.")

@@ -80,8 +80,8 @@ def resolution(balance: Equilibrium, radius: np.ndarray, share: np.ndarray,
     small = np.where(balance.contact.local_indentation.acts(), ROUND if model.mesh.curvature().any() else SHARE, BARE)
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
     error, (law, support) = mesh_error(radius, force, share, edges, small), np.zeros((2, batch))
-    if model.loose is not None:
-        inside = balance.elasticity.energy_in(model.loose, balance.every.int(), balance.u)
+    if model.inside_box is not None:
+        inside = balance.elasticity.energy_in(model.inside_box, balance.every.int(), balance.u)
         support = np.where(error > 0.0, inside, 0.0)
     if isinstance(balance.elasticity, LinearElasticity) and error.any():
         law = np.where(error > 0.0, balance.elasticity.law_error(balance.every.int(), balance.u), 0.0)
