@@ -99,25 +99,26 @@ def test_a_thin_stem_is_never_jumped(step, device):
 
 
 def test_a_batch_gives_the_bits_of_touches_alone(device):
-    rng = np.random.default_rng(0)
-    bodies = [stem(10, length=0.3), plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.18], [-0.05, 0, 0.2]]),
-                                          [-1, 0, 1, 1])]
-    models = [build(b) for b in bodies]
+    fork = plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.18], [-0.05, 0, 0.2]]), [-1, 0, 1, 1])
+    models = [build(stem(10, length=0.3)), build(fork)]
     which = np.array([0, 1, 1, 0])
     poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h, start=-0.05)
-                            for h in rng.uniform(0.1, 0.2, 4)], axis=1)
+                            for h in np.random.default_rng(0).uniform(0.1, 0.2, 4)], axis=1)
     shapes = [Capsule(0.03, 0.1)]
     together = RodSolver(models, shapes, device=device).run(which, poses, friction=0.3)
     for b in range(4):
         alone = RodSolver([models[which[b]]], shapes, device=device,
                           options=RodOptions(share=5)).run(np.zeros(1, int), poses[:, b:b + 1], friction=0.3)
         assert (alone.force[:, 0] == together.force[:, b]).all() and (alone.energy[:, 0] == together.energy[:, b]).all()
+    for wrong in ({"friction": -0.1}, {"plan": [[0, 12]] * 4}, {"plan": [[0]]}):
+        with pytest.raises(RodError, match="give friction of 0 at least"):
+            RodSolver(models, shapes, device=device).run(which, poses, **wrong)
 
 
 def test_a_touch_ends_before_the_frame_past_the_force_limit(device):
     """A stem as stiff as a pole, which takes 70 N a frame, in and out again."""
-    models, poses = [build(stem(10, radius=0.01, young_modulus=5e9))], crossing(np.linspace(0.0, 0.06, 31), height=0.15,
-                                                                               start=-0.07)
+    models = [build(stem(10, radius=0.01, young_modulus=5e9))]
+    poses = crossing(np.linspace(0.0, 0.06, 31), height=0.15, start=-0.07)
     plan = np.concatenate([np.arange(31), np.arange(30)[::-1]])[None]
     whole, short = (RodSolver(models, [Capsule(0.03, 0.2)], device=device, options=RodOptions(force_limit=limit)).run(
         np.zeros(1, int), poses, plan=plan, friction=0.4) for limit in (np.inf, 500.0))
@@ -129,8 +130,8 @@ def test_a_touch_ends_before_the_frame_past_the_force_limit(device):
 
 
 def test_a_frame_without_room_for_its_contacts_is_marked(device):
-    frames = touch(stem(10, radius=0.01, young_modulus=1e6), crossing(np.linspace(0.0, 0.06, 31), height=0.15,
-                                                                      start=-0.07), device=device, room=1)
+    poses = crossing(np.linspace(0.0, 0.06, 31), height=0.15, start=-0.07)
+    frames = touch(stem(10, radius=0.01, young_modulus=1e6), poses, device=device, room=1)
     bad = ~frames.converged[:, 0]
     assert bad.any() and (frames.reason[bad, 0] == Reason.PATCH).any() and finite(frames)
 

@@ -207,9 +207,7 @@ def _frames(plant: Plant) -> np.ndarray:
 
 def skew(v: np.ndarray) -> np.ndarray:
     """(..., 3, 3) with skew(a) b = a x b."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return out - np.swapaxes(out, -1, -2)
+    return np.swapaxes(np.cross(v[..., None, :], np.eye(3)), -1, -2)
 
 
 def _carry(way: np.ndarray) -> np.ndarray:

@@ -109,6 +109,9 @@ class RodSolver:
             plan: number of the pose on the way of each frame (B, T); None for one frame a pose.
             keep_nodes: return the states of the nodes.
             progress: called with the number of frames newly done, launch by launch.
+
+        Raises:
+            RodError: poses, friction or plan are of another shape or out of their range.
         """
         plant, poses = np.asarray(plant, np.int32), np.asarray(poses, float)
         p, b = len(poses), len(plant)
@@ -116,6 +119,9 @@ class RodSolver:
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
         if poses.shape != (p, b, len(self.shapes), 4, 4) or not (poses.size and np.isfinite(poses).all()):
             raise RodError(f"poses are {poses.shape}; give finite ones of {b} touches by {len(self.shapes)} capsules.")
+        if not (friction.min() >= 0 and plan.shape[:-1] == (b,) and np.isin(plan, range(p)).all()):
+            raise RodError(f"friction is {friction} and plan {plan}; give friction of 0 at least, "
+                           f"and in plan numbers of the {p} poses, a row for each of {b} touches.")
         t, options = plan.shape[1], self.options
         sizes = {"B": b, "N": max(len(m.plant.nodes) for m in self.models), "T": t, "K": len(self.shapes),
                  "C": options.room, "D": max(len(m.arrays["level"]) for m in self.models) + 1,
