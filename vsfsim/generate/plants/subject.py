@@ -151,9 +151,11 @@ def admitted(job: Job, scene: Scene) -> Plant:
 
 
 def _no_branch(job: Job, scene: Scene, plant: Plant, arm: Arm) -> str | None:
-    """Why no branch of a view can be touched at all stations of the scene, or None."""
+    """Why no branch of a view can be touched at all stations of the scene, or None. Whatever renders the pictures, the
+    points are those that rays meet: pixels of OpenGL differ from machine to machine."""
     for number in range(job.recipe.views if scene.required_touches.stations > 1 else 0):
-        one = dataclasses.replace(job, view_index=number)
+        rays = dataclasses.replace(job.recipe, renderer="warp")
+        one = dataclasses.replace(job, view_index=number, recipe=rays)
         turned = _turned(plant, one)
         try:
             _aimed(one, scene, turned, _seen(one, scene, turned, "cpu"), arm, range(1))
