@@ -283,9 +283,10 @@ class RigidContact(Contact):
             self._points, wp.from_torch(columns.to(torch.int32)), self._core, own, wp.from_torch(part)])
         return part.amin(dim=1) if part.shape[1] else part.new_ones(len(columns))
 
-    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:
         """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
-        bodies were found between those; whether they had to."""
+        bodies were found between those; which touches have other contact points now (k,) bool: all, if one has, since
+        they are laid out anew together."""
         pose, kept = self._held_at(pose), self.friction_state()
         faces, near = self._passage.check(columns, pose, u)
         self._overlap[columns] = torch.maximum(faces, near).amax(dim=1)
@@ -303,4 +304,4 @@ class RigidContact(Contact):
                 grown = True
         if grown:
             self._renew(kept)
-        return grown
+        return torch.full_like(columns, grown, dtype=torch.bool)

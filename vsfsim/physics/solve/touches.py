@@ -256,7 +256,6 @@ class Solver:
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        host = columns.cpu().numpy()
         for _ in range(_GROWTHS):
             balance.solve(columns, state, balance.options.tolerance, deadline)
             lost = columns[~torch.isfinite(state["measure"])]
@@ -264,21 +263,20 @@ class Solver:
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
             if clock.now() > deadline:  # no time to look where the bodies are
-                balance.reason[host] = Reason.TIME
+                balance.reason[columns.cpu().numpy()] = Reason.TIME
                 return
             grown = contact.extend_patch(columns, pose, balance.u)
-            intruded = columns[contact.intruded(columns)]
-            if grown:
-                # the new points feel a body that lies a little inside; not one that the object has closed around
-                closed = columns[contact.intruded(columns, LOST if contact.solid else 1.0)]
-                balance.u[:, closed] = begin[:, closed]
-                state = balance.evaluate(columns)
+            at = columns[~grown & contact.intruded(columns)].cpu().numpy()
             balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
-            if not grown:
-                at = intruded.cpu().numpy()
-                balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
+            balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
+            columns = columns[grown]
+            if not len(columns):
                 return
-        balance.reason[host] = Reason.PATCH
+            # the new points feel a body that lies a little inside; not one that the object has closed around
+            closed = columns[contact.intruded(columns, LOST if contact.solid else 1.0)]
+            balance.u[:, closed] = begin[:, closed]
+            state = balance.evaluate(columns)
+        balance.reason[columns.cpu().numpy()] = Reason.PATCH
 
     # ------------------------------------------------------------------------------------------ audit
 

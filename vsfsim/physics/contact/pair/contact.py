@@ -26,7 +26,6 @@ SENSOR_NODES = 3000
 """Largest number of nodes m of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles."""
 _TURNED = 0.01  # change of a blended normal [rad] in a step above which it is blended again
 _NEW_GAP = 1e-9  # change of a gap [m] with renewed candidates above which the old one was wrong
-_MARGIN = 0.3  # of a stride: the surfaces may approach each other by so much in a step by their own motion
 
 
 class PairContact(Contact):
@@ -41,7 +40,7 @@ class PairContact(Contact):
         friction: Coulomb's coefficient of the pair [-].
         poses: all poses to come, sensor to world (T, B, 4, 4): they tell what is in reach.
         device: Warp device.
-        stride: longest way of the sensor in a step [m].
+        margin: how far the surfaces may approach each other in a step by their own motion [m].
     """
 
     # with blended normals the forces are not quite those of a potential
@@ -56,10 +55,10 @@ class PairContact(Contact):
     """Its origins (B, 1, 3) [m], world."""
 
     def __init__(self, model: Model, sensor: Model, factor: PairFactors, friction: float, poses: np.ndarray, *,
-                 device: str, stride: float):
+                 device: str, margin: float):
         self.device, self.batch, self.has_friction, self.kernels = (
             device, poses.shape[1], friction > 0.0, kernels.KERNELS)
-        self._margin, self._reach = _MARGIN * stride, farthest(sensor)
+        self._margin, self._reach = margin, farthest(sensor)
         reach, own = reachable(model, sensor, poses), sensor.mesh.points
         nodes = [np.unique(model.mesh.faces[f]) for f in reach]
         self.width = width = max(1, max(len(n) for n in nodes))
@@ -123,20 +122,20 @@ class PairContact(Contact):
         for side in self.sides if len(blend) else ():
             side.tensors["smooth"][blend] = side.blended(self.x)[blend]
 
-    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
-        """See `RigidContact`: finds what may meet what again from where the surfaces are now. True if that finds new
-        contact, or normals that have turned."""
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:
+        """See `RigidContact`; finds what may meet what again from where the surfaces are now. True of a touch for which
+        that finds new contact, or normals that have turned."""
         before, moved = self._all("gap", columns).clamp(max=0.0), self.gather(u, columns)
         self.x[columns] = self._world(columns, moved)
-        turned = columns[(self._turned() & ~self._blended)[columns]]
-        self._blended[turned] = True  # once in a step: more would chase the last digit
-        self._find_candidates(self._margin, columns, blend=turned)
+        turned = (self._turned() & ~self._blended)[columns]
+        self._blended[columns[turned]] = True  # once in a step: more would chase the last digit
+        self._find_candidates(self._margin, columns, blend=columns[turned])
         self.evaluate(columns, moved)
         change = self._all("gap", columns).clamp(max=0.0) - before
-        if len(turned) > 0 or bool((change.abs() > _NEW_GAP).any()):
-            return True
-        self._overlap[columns] = self.overlap(columns, u)
-        return False
+        grown = turned | (change.abs() > _NEW_GAP).any(dim=1)
+        if not grown.all():
+            self._overlap[columns[~grown]] = self.overlap(columns[~grown], u)
+        return grown
 
     def overlap(self, columns: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         """How deep the surfaces of ``columns`` (k,) lie in one another at displacements u (3 N, B) [m]: (k,) [m]."""
