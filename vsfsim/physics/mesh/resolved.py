@@ -17,7 +17,10 @@ and 19 to 37 % at 0.45; the PE foam of `references/foam_block.json` 14 % at 0.6.
 ball of 10 mm at nu 0 and 0.3 is 39 to 50 % too stiff at 0.18 to 0.5 of an element, and within 7.3 % with the local
 indentation.
 
-Where a wall bends under the contact, only the share of the way that is local indentation has this error.
+Where a wall bends under the contact, only the share of the way that is local indentation has this error. A layer that
+is thinner than its elements are long lacks less than the half-space that the local indentation was fitted to, or
+nothing, and is too soft by as much: where it is larger, the error is the energy of the local indentation over that of
+the elements.
 
 Under a body with edges the error falls as h / a, since the pressure has no bound at an edge. 26 frames of six random
 presses by flat cylinders, a / h from 1.5 to 3.2, were off by up to 0.18 h / a (0.08 in the median) against
@@ -56,8 +59,8 @@ PARTS = 0.25
 """Share of its stiffness by which a part inside may be off in a resolved frame [-]."""
 
 
-def mesh_error(radius: np.ndarray, force: np.ndarray, share: np.ndarray | float = 1.0,
-               edges: np.ndarray | bool = False, small: np.ndarray | float = SHARE) -> np.ndarray:
+def mesh_error(radius: np.ndarray, force: np.ndarray, share: np.ndarray,
+               edges: np.ndarray, small: np.ndarray, local: np.ndarray) -> np.ndarray:
     """Estimated error of the force by the mesh (B,) [-]; 0 without contact, NaN where there is no radius.
 
     Args:
@@ -67,10 +70,11 @@ def mesh_error(radius: np.ndarray, force: np.ndarray, share: np.ndarray | float 
             the rest, of a wall that bends say, does not hang on how the contact is resolved.
         edges: whether each body has edges (K,) bool.
         small: `SHARE`, `ROUND` or `BARE` of the contact with each body (K,) [-].
+        local: energy of the local indentation over that of the elements (B, 1) [-].
     """
     size = np.linalg.norm(np.nan_to_num(force), axis=2)
     wide = np.maximum(radius, 0.01)
-    own = np.maximum(small * share / wide**2, np.where(edges, EDGES_SHARE / wide, 0.0))
+    own = np.maximum(np.maximum(small * share / wide**2, share * local), EDGES_SHARE * edges / wide)
     return (size * np.where(size > 0.0, own + ELSEWHERE, 0.0)).sum(axis=1) / np.maximum(size.sum(axis=1), 1e-300)
 
 
