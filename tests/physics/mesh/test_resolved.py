@@ -32,6 +32,13 @@ def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure_and_one_that_th
     assert good.resolved.all() and (good.more["mesh_error"] < 0.06).all()
 
 
+def test_a_ball_between_contact_points_is_marked():
+    """The force was 0 and the frame resolved while the ball lay .04 mm deep."""
+    result = press_of("box = [0.02732, 0.02732, 0.001851]", {"resolution": 0.00759}, "sphere = 0.005121", 0.006972,
+                      6e-5, frames=3, tier="fem-coarse")
+    assert result.normal_force[1] == 0.0 and not result.resolved[1]
+
+
 def test_a_wall_that_bends_is_not_marked_for_its_small_contact():
     """A plate of 6 mm that is held along one side. On elements of 2.5 mm the forces at 1.8, 3.2, 4.6 and 6 mm are 7.9,
     14.8, 22.6 and 31.2 mN; those on 12 mm are off by 3, 1, 8 and 4 %, said to be by 10, 6, 5 and 4 %."""

@@ -55,6 +55,8 @@ TURNED = 0.13
 """Largest rotation of an element up to which small strain keeps the force within 5 % [rad]. Above `fem-coarse` is
 `linear` on a cantilever plate of 3 mm by 3.6, 6.9 and 21 % at 0.09, 0.18 and 0.35 rad, on one of 10 mm by 2.3 and 8.8 %
 at 0.075 and 0.19, on a bridge of 4 mm by 1.4 and 10 % at 0.07 and 0.21."""
+UNFELT = 1e-3
+"""Depth over the edge of an element from which on a body that no contact point feels makes a frame unresolved [-]."""
 PARTS = 0.25
 """Share of its stiffness by which a part inside may be off in a resolved frame [-]."""
 

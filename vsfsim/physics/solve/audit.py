@@ -7,7 +7,7 @@ import torch
 
 from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.mesh.resolved import BARE, ROUND, SHARE, corner_det_f, mesh_error, rotation
+from vsfsim.physics.mesh.resolved import BARE, ROUND, SHARE, UNFELT, corner_det_f, mesh_error, rotation
 from vsfsim.physics.solve.elasticity import LinearElasticity
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
@@ -45,6 +45,8 @@ def report(balance: Equilibrium, state: State) -> Rows:
     part = (local / state["energy"].clamp(min=1e-300)).cpu().numpy()[:, None]
     error = resolution(balance, each.cpu().numpy(), share.cpu().numpy(), part, out["body_force"])
     out |= zip(names, error, strict=True)
+    # a body between contact points that no point feels yet: the force lacks all of itself
+    out["mesh_error"][(out["penetration"] > UNFELT * balance.model.element_size) & (out["mesh_error"] == 0.0)] = 1.0
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
     reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
