@@ -11,9 +11,7 @@ from texts import scene
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import parse_probe_shapes, probe_table
-from vsfsim.core.shelf import find_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
 from vsfsim.generate import bubble_touch as touch_bubble
@@ -86,7 +84,7 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
 def test_touches_of_a_rope_together_end_at_their_depth(tmp_path):
     """One that has no new contact is not solved again for those beside it, whose patches grow: else each renewal of
     friction spends its iterations, and none of these four gets to the last frame."""
-    made = generate(load_scene(find_scene("rope-punyo")), tmp_path / "made", objects=1, touches=4, workers=1)
+    made = generate("rope-punyo", tmp_path / "made", objects=1, touches=4, workers=1)
     assert all(touch.converged.all() for touch in made[0].touches)
 
 

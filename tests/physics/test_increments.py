@@ -13,16 +13,6 @@ from vsfsim.physics.solve.touches import Solver
 
 
 @pytest.mark.parametrize("linear", [False, True])
-def test_twenty_millimetres_in_one_frame_give_what_small_steps_give(block, line, device, linear):
-    model = block((0.06, 0.06, 0.03), 0.015)
-    probe = Sphere(0.012)
-    once, slow = (Solver(model, probe, device=device, options=SolverOptions(tolerance=1e-5), linear=linear).run(
-        line([[0, 0, z] for z in np.linspace(0.057, 0.037, n)], probe)) for n in (2, 21))
-    assert once.converged.all() and slow.converged.all()
-    assert once.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=5e-4, abs=1e-4)
-
-
-@pytest.mark.parametrize("linear", [False, True])
 def test_a_path_that_begins_inside_the_object_is_marked(block, line, device, linear):
     """From which side the ball came there is not known: of two touches the one that begins free has its force."""
     model, probe = block((0.06, 0.06, 0.03), 0.015), Sphere(0.012)
