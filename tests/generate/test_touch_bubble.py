@@ -17,7 +17,6 @@ from vsfsim.data.verify import skin_loss, verify
 from vsfsim.generate import bubble_touch as touch_bubble
 from vsfsim.generate.aim import Aim, tilted
 from vsfsim.generate.resim import again
-from vsfsim.generate.run import generate
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.robot.path import turn_to
 
@@ -78,14 +77,6 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
         assert way == pytest.approx([0.0, 0.005 + 0.0015, 0.005 + 0.003], abs=1e-9)
         assert touch.mount_pose[:, :3, 2] == pytest.approx(np.broadcast_to(touch.axis, (3, 3)))
     assert view.truth.vsf_touched.any() and np.isfinite(view.truth.vsf_stiffness).all()
-
-
-@pytest.mark.slow
-def test_touches_of_a_rope_together_end_at_their_depth(tmp_path):
-    """One that has no new contact is not solved again for those beside it, whose patches grow: else each renewal of
-    friction spends its iterations, and none of these four gets to the last frame."""
-    made = generate("rope-punyo", tmp_path / "made", objects=1, touches=4, workers=1)
-    assert all(touch.converged.all() for touch in made[0].touches)
 
 
 def test_a_plan_made_again_is_the_touch(made):

@@ -18,6 +18,7 @@ from vsfsim.physics.contact.intrusion import PairOverlap
 from vsfsim.physics.contact.pair import kernels
 from vsfsim.physics.contact.pair.sides import farthest, make_sides, reachable
 from vsfsim.physics.contact.patch import first_of
+from vsfsim.physics.contact.points import _ITERATION as ITERATION
 from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.linear.rest_factor import RestFactor, response
 from vsfsim.physics.model import Model
@@ -70,6 +71,9 @@ class PairContact(Contact):
         self._rest = self.rest.view(self.batch, -1, 3)
         # positions now, when the step began, and where the surfaces would be if both had kept their shapes
         self.x, self.x_before, self.x_swept = (self._rest.clone() for _ in range(3))
+        self._moved = self._rest.new_zeros(self._rest.flatten(1).shape)
+        self._pose, self._pose_before = poses[0].copy(), poses[0].copy()
+        self._begun: tuple[torch.Tensor, np.ndarray] | None = None
         self._overlap, self.coulomb = (torch.zeros_like(self.mask[:, 0]) for _ in range(2))
         self.sides = make_sides(model, sensor, reach, nodes, width, {
             "coefficient": friction, "coulomb": self.coulomb, "x": self.x, "x_before": self.x_before,
@@ -99,19 +103,33 @@ class PairContact(Contact):
         return out + self.origin[:, 0].T if place else out
 
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
-        self._begin_friction()
-        self._moved, self._pose_before = self.gather(u), before[:, 0]
-        self._place(self._pose_before)
-        self.x_before.copy_(self._world(slice(None), self._moved))
+        self._begun = self.gather(u), before[:, 0]
 
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
-        """See `RigidContact`; finds what the touches ``columns`` (k,) may meet on the way."""
-        self._overlap[columns], self._known = 0.0, None
-        pose, self._blended[columns] = pose[:, 0], False
+        """See `RigidContact`; finds what the touches ``columns`` (k,) may meet on the way. In the first move of a step
+        these begin it; in others those that are at their pose already keep what they met, as all other touches do:
+        their forces balance with that alone."""
+        at, pose, self._known = columns.cpu().numpy(), pose[:, 0], None
+        begun, self._begun = self._begun, None
+        if begun is None:
+            at = at[(pose != self._pose)[at].any(axis=(1, 2))]
+        columns = torch.as_tensor(at, device=self.device)
+        if begun is not None:
+            moved, before = begun
+            self._moved[columns], self._pose_before[at] = moved[columns], before[at]
+            self._place(before)
+            self.x_before[columns] = self._world(columns, moved[columns])
+            for points in self._sets:
+                for name in ITERATION:
+                    points[name][columns] = 0
+        self._pose = pose
         self._place(pose)
-        self.x_swept.copy_(self._world(slice(None), self._moved))
+        if not len(at):
+            return
+        self._overlap[columns], self._blended[columns] = 0.0, False
+        self.x_swept[columns] = self._world(columns, self._moved[columns])
         self.x[columns] = self.x_swept[columns]
-        change = pose - self._pose_before
+        change = (pose - self._pose_before)[at]
         way = np.linalg.norm(change[:, :3, 3], axis=1) + self._reach * np.linalg.norm(change[:, :3, :3], axis=(1, 2))
         self._find_candidates(float(way.max()) + self._margin, columns, blend=columns)
 
