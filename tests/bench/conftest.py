@@ -60,6 +60,12 @@ def constant(task, toy_dataset):
 
 
 @pytest.fixture(scope="session")
+def tuned(task, toy_dataset):
+    """The result of a method that ships."""
+    return evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+
+
+@pytest.fixture(scope="session")
 def honest(task, toy_dataset):
     """The scores of a method that answers 1.5 and does nothing else."""
     return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False).scores

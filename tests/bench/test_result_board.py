@@ -9,7 +9,6 @@ from vsfsim.bench import leaderboard
 from vsfsim.bench.admission.fingerprint import make_record
 from vsfsim.bench.board.rows import CLAIMED, PREDICTIONS, command_of
 from vsfsim.bench.commands.score import score_predictions
-from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import Answer, metrics_of, scores_of
 from vsfsim.bench.predictions import questions
 from vsfsim.bench.result import Result
@@ -71,14 +70,13 @@ def test_the_same_data_made_elsewhere_are_ranked(results, task, toy_dataset, tmp
     assert "new ~" in text and "~ on the same dataset, made on a machine that rounds otherwise" in text
 
 
-def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task, toy_dataset, tmp_path):
-    made = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task, tuned, tmp_path):
     for k, (name, change) in enumerate({
-            "same": {}, "source": {"contents": {**made.contents, "the method": "0" * 64}}, "silent": {"contents": {}},
+            "same": {}, "source": {"contents": {**tuned.contents, "the method": "0" * 64}}, "silent": {"contents": {}},
             "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where"},
             "package": {"package": {"name": "p"}}, "ceiling": {"method": "resim"}}.items()):
-        scaled = [(1.0 + 0.1 * k) ** 2 * v for v in made.queries["sse"]]
-        one = dataclasses.replace(made, queries={**made.queries, "sse": scaled}, **change)
+        scaled = [(1.0 + 0.1 * k) ** 2 * v for v in tuned.queries["sse"]]
+        one = dataclasses.replace(tuned, queries={**tuned.queries, "sse": scaled}, **change)
         dataclasses.replace(one, scores=one.computed()).save(tmp_path / f"{name}.json")
     board = leaderboard.collect(task, [tmp_path])
     assert {row.path.stem for row in board.rows if row.mark == CLAIMED} == {

@@ -18,7 +18,7 @@ from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.rows import row_sha256
-from vsfsim.bench.evaluate import Made, evaluate
+from vsfsim.bench.evaluate import Made
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
 from vsfsim.bench.result import Result
@@ -80,7 +80,7 @@ def test_a_release_costs_at_most_a_day_and_audits_every_task():
     assert all(part.fresh.keys() - {"dataset"} <= part.rows.keys() for part in parts.values())
 
 
-def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset, tmp_path, monkeypatch):
+def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset, tuned, tmp_path, monkeypatch):
     """What ships is kept where no result lies: a row by the digests of its task, data, method and scorer, an audit by
     those of its rows. The second machine makes the row that is missing, and after a change all."""
     part = rows.Part(1.0, {"contact-points.tuned": 2.0, "resim": 3.0}, audit=4.0, studies={"toy": 5.0})
@@ -95,7 +95,7 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "make_studies", lambda studies, *_: made.append(studies) or iter(()))
     monkeypatch.setattr(release, "commit", lambda: "a" * 40)
     monkeypatch.setattr(rows, "absent", lambda what, _: {"all": "too large"} if what == "study toy" else {})
-    asked, row = [], evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+    asked, row = [], tuned
     ceiling = dataclasses.replace(row, method="resim", entry=ceilings()["resim"].value, preset="",
                                   parameters={}, contents=contents_of("resim", {}))
 
@@ -149,16 +149,15 @@ def test_what_does_not_ship_is_left_out_and_told(monkeypatch):
     assert of_study.startswith("left out of study shoes-features: dinov2-s, dinov2-b; the published weights do not")
 
 
-def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_path, monkeypatch,
+def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tuned, tmp_path, monkeypatch,
                                                       write_dataset, toy_views):
     """Those of a machine that rounds otherwise, or of code that marks other frames, do not: the record stays, and has
     their share of marked frames."""
     elsewhere(monkeypatch, tmp_path)
     scored = dataclasses.replace(task.protocol, unresolved="scored")
     task, out = dataclasses.replace(task, protocol=scored), tmp_path / "leaderboard"
-    result = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
     release._keep_record(task, toy_dataset, out)
-    ship({Path("toy-v1", "contact-points.tuned.json"): (result, "", 1.0)}, out)
+    ship({Path("toy-v1", "contact-points.tuned.json"): (tuned, "", 1.0)}, out)
 
     def data(factor, **marks):
         return write_dataset([dataclasses.replace(view, touches=tuple(dataclasses.replace(
