@@ -26,7 +26,7 @@ from vsfsim.physics.solve.touches import Rows, Solver
 # of the sensor's `scale`: way in one step. With 0.15 a wall that is met lies in the nearer part still, but rubber that
 # sticks to foam needs shorter ways: of 40 frames of touches of `bag-punyo` four end unbalanced, with this none
 _STRIDE = 0.06
-_BACK = 0.15  # likewise: what a sensor may be in the object where its path begins
+_BACK = 0.15  # likewise: how deep a sensor may be in the object where its path begins
 _MARGIN = 0.045  # likewise: how far the surfaces approach each other in a step by their own motion
 
 
