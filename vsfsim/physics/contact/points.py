@@ -122,10 +122,10 @@ class Contact:
         """Sum of the differences of the friction limits from Coulomb's after `update_friction` (k,) [N]."""
         return self._all("residual", columns).sum(dim=1)
 
-    def _begin_friction(self) -> None:
+    def _begin_friction(self, columns: torch.Tensor) -> None:
         for points in self._sets:
             for name in _ITERATION:
-                points[name].zero_()
+                points[name][columns] = 0
 
     def end_step(self, columns: torch.Tensor) -> None:
         """End the step: slipping points drag their anchors along, points that left contact lose them."""
@@ -146,6 +146,7 @@ class Contact:
         """Displacements [m] or forces [N] of the patches (k, 3 s) of ``columns`` (k,), None for all, out of those of
         all nodes u (3 n, k)."""
         dof, mask = (self.dof, self.mask) if columns is None else (self.dof[columns], self.mask[columns])
+        assert u.shape[1] == len(dof), "torch would take the first columns of u in place of these"
         return u.gather(0, dof.clamp(min=0).T).T * mask
 
     def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:

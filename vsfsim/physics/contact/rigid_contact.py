@@ -156,18 +156,18 @@ class RigidContact(Contact):
         for own, values in zip(bodies, (pose[..., :3, 3], pose[..., :3, :3]), strict=True):
             own.copy_(torch.as_tensor(values))
 
-    def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
-        """Begin a step at the poses ``before`` (B, K, 4, 4) and the displacements u (3 n, B) [m]: slip counts from
-        here."""
+    def begin_step(self, before: np.ndarray, u: torch.Tensor, columns: torch.Tensor) -> None:
+        """Begin a step of ``columns`` (k,) at the poses ``before`` (B, K, 4, 4) and the displacements u (3 n, B) [m]:
+        slip counts from here. The others are done with theirs."""
         self._u_before, self._begun = u.clone(), before
         self._place(self._before, before)
         if self.springs is not None:  # where they let the bodies begin
             self._plan_for(before)
             self._place(self._now, before)
-            self.evaluate(torch.arange(self.batch, device=self.device), self.gather(u))
+            self.evaluate(columns, self.gather(u[:, columns], columns))
             self._before[0].copy_(self._now[0])
             self._begun = self.springs.poses(before)
-        self._begin_friction()
+        self._begin_friction(columns)
         self._body_points.begin_step()
         self._stand(u)
 

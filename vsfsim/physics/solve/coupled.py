@@ -101,7 +101,7 @@ class CoupledSolver(Solver):
         """Whether the bodies at rest touch at ``pose`` (B, 1, 4, 4), or one is within the other (B,) bool."""
         every = torch.arange(contact.batch, device=self.device)
         u = torch.zeros((len(self.model.free), contact.batch), dtype=torch.float64, device=self.device)
-        contact.begin_step(pose, u)
+        contact.begin_step(pose, u, every)
         contact.move(pose, every)
         contact.evaluate(every, contact.gather(u))
         # the contact finds only nodes near the surface

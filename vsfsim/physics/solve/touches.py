@@ -104,7 +104,7 @@ class Solver:
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
         hang(self._balance, previous)
-        self.contact.begin_step(previous, self._balance.u)
+        self.contact.begin_step(previous, self._balance.u, self._balance.every)
         self.contact.move(previous, self._balance.every)
         self._work_check = WorkCheck(self._balance)
         rows: list[Rows] = []
@@ -134,7 +134,7 @@ class Solver:
             self._reach(balance.every, self._at, part, begin, deadline, self.options.halvings, friction)
             if part is way[-1]:
                 break
-            contact.end_step(balance.every)
+            self._end_step(balance.every)
             self._at = self._resume(self._at, part, begin, friction)
             late = clock.now() > deadline
             if late:  # the next frame goes on from here
@@ -178,7 +178,7 @@ class Solver:
             pose[lost] = before[lost]
             balance.u[:, at] = begin[:, at]
             contact.restore_friction(at, friction)
-            contact.move(pose, balance.every)
+            contact.move(pose, at)
             balance.evaluate(balance.every)
         self._work_check.begin(balance.every)
         # for later frames to begin from: all of them without friction, the last two with it
@@ -203,7 +203,7 @@ class Solver:
         unloading retraces loading), else at the last two equilibria, ``begin`` (3 n, B) at ``before`` and an older one,
         extrapolated, where that has less potential and lets no body through."""
         balance, contact, known = self._balance, self.contact, self._equilibria
-        contact.begin_step(before, begin)
+        contact.begin_step(before, begin, columns)
         contact.move(pose, columns)
         balance.u[:, columns] = begin[:, columns]
         there = [k.u for k in known if np.array_equal(k.pose, pose)]
@@ -245,13 +245,19 @@ class Solver:
         # friction remembers a step that failed, a body that snapped does not come back: what follows is not the path
         reason = balance.reason[host]
         ends = (reason != Reason.NONE) & contact.has_friction | (reason == Reason.SNAPPED)
-        failed, host = failed[torch.as_tensor(~ends, device=self.device)], host[~ends]
-        if not len(host):
-            contact.move(pose, balance.every)
+        if ends.all():
+            contact.move(pose, failed)
             return
-        contact.end_step(failed)
+        failed = failed[torch.as_tensor(~ends, device=self.device)]
+        self._end_step(failed)
         self._work_check.begin(failed)
         self._reach(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, contact.friction_state())
+
+    def _end_step(self, columns: torch.Tensor) -> None:
+        """End the step of ``columns`` (k,). They are evaluated first: contact points may have been laid out anew for
+        another touch since they were solved."""
+        self.contact.evaluate(columns, self.contact.gather(self._balance.u[:, columns], columns))
+        self.contact.end_step(columns)
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
@@ -301,7 +307,7 @@ def hang(balance: Equilibrium, pose: np.ndarray) -> None:
     first, whole = balance.every[:1], balance.load.clone()
     away = pose.copy()
     away[..., :3, 3] -= _AWAY * pose[..., :3, 2]
-    contact.begin_step(away, balance.u)
+    contact.begin_step(away, balance.u, balance.every)
     contact.move(away, balance.every)
     linear = model.preconditioner.solve((model.load * model.free)[:, None])
     slope = torch.as_tensor(linear, dtype=torch.float64, device=balance.device)

@@ -18,7 +18,6 @@ from vsfsim.physics.contact.intrusion import PairOverlap
 from vsfsim.physics.contact.pair import kernels
 from vsfsim.physics.contact.pair.sides import farthest, make_sides, reachable
 from vsfsim.physics.contact.patch import first_of
-from vsfsim.physics.contact.points import _ITERATION as ITERATION
 from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.linear.rest_factor import RestFactor, response
 from vsfsim.physics.model import Model
@@ -72,8 +71,7 @@ class PairContact(Contact):
         # positions now, when the step began, and where the surfaces would be if both had kept their shapes
         self.x, self.x_before, self.x_swept = (self._rest.clone() for _ in range(3))
         self._moved = self._rest.new_zeros(self._rest.flatten(1).shape)
-        self._pose, self._pose_before = poses[0].copy(), poses[0].copy()
-        self._begun: tuple[torch.Tensor, np.ndarray] | None = None
+        self._pose_before = poses[0].copy()
         self._overlap, self.coulomb = (torch.zeros_like(self.mask[:, 0]) for _ in range(2))
         self.sides = make_sides(model, sensor, reach, nodes, width, {
             "coefficient": friction, "coulomb": self.coulomb, "x": self.x, "x_before": self.x_before,
@@ -102,30 +100,18 @@ class PairContact(Contact):
         out = torch.einsum("bij,mjb->mib", self.rotation, vectors)
         return out + self.origin[:, 0].T if place else out
 
-    def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
-        self._begun = self.gather(u), before[:, 0]
+    def begin_step(self, before: np.ndarray, u: torch.Tensor, columns: torch.Tensor) -> None:
+        at, before = columns.cpu().numpy(), before[:, 0]
+        self._moved[columns], self._pose_before[at] = self.gather(u[:, columns], columns), before[at]
+        self._place(before)
+        self.x_before[columns] = self._world(columns, self._moved[columns])
+        self._begin_friction(columns)
 
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
-        """See `RigidContact`; finds what the touches ``columns`` (k,) may meet on the way. In the first move of a step
-        these begin it; in others those that are at their pose already keep what they met, as all other touches do:
-        their forces balance with that alone."""
+        """See `RigidContact`; finds what the touches ``columns`` (k,) may meet on the way. The others keep what they
+        met: their forces balance with that alone."""
         at, pose, self._known = columns.cpu().numpy(), pose[:, 0], None
-        begun, self._begun = self._begun, None
-        if begun is None:
-            at = at[(pose != self._pose)[at].any(axis=(1, 2))]
-        columns = torch.as_tensor(at, device=self.device)
-        if begun is not None:
-            moved, before = begun
-            self._moved[columns], self._pose_before[at] = moved[columns], before[at]
-            self._place(before)
-            self.x_before[columns] = self._world(columns, moved[columns])
-            for points in self._sets:
-                for name in ITERATION:
-                    points[name][columns] = 0
-        self._pose = pose
         self._place(pose)
-        if not len(at):
-            return
         self._overlap[columns], self._blended[columns] = 0.0, False
         self.x_swept[columns] = self._world(columns, self._moved[columns])
         self.x[columns] = self.x_swept[columns]
@@ -143,7 +129,7 @@ class PairContact(Contact):
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:
         """See `RigidContact`; finds what may meet what again from where the surfaces are now. True of a touch for which
         that finds new contact, or normals that have turned."""
-        before, moved = self._all("gap", columns).clamp(max=0.0), self.gather(u, columns)
+        before, moved = self._all("gap", columns).clamp(max=0.0), self.gather(u[:, columns], columns)
         self.x[columns] = self._world(columns, moved)
         turned = (self._turned() & ~self._blended)[columns]
         self._blended[columns[turned]] = True  # once in a step: more would chase the last digit
