@@ -164,12 +164,13 @@ def first(value, **columns):
     (change(queries=first("mock-0002-v0", object=1)), "query touch"),
     (change(queries=lambda r: {k: v[:-1] for k, v in r.queries.items()}), "missing or there twice"),
     (change(queries=lambda r: {k: [*v, v[0]] for k, v in r.queries.items()}), "missing or there twice"),
+    (change(answers=lambda r: {"stiffness": {"object": ["a"]}}), "its rows cannot be scored"),
     (change(dataset_sha256=lambda r: "0" * 64), "other dataset (000000000000), of which nothing is known"),
 ])
 def test_numbers_that_disagree_are_not_ranked(task, record, result, tmp_path, wrong, reason):
     wrong(result).save(tmp_path / "r.json")
     (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
-    assert row.rank is None and reason in row.mark
+    assert row.rank is None and reason in row.mark and not row.other_bits
 
 
 def test_what_a_result_says_of_its_scores_is_not_read(task, record, result, tmp_path):

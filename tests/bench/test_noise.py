@@ -39,7 +39,8 @@ def test_the_gravity_models_error_is_one_smooth_function_of_posture_without_join
     q = rng.uniform(-2.0, 2.0, (4000, 7))
     error = posture_error(q, POSED)
     size = error.std(axis=0)
-    assert np.array_equal(error, posture_error(q, POSED))
+    # 0.3 rad is what a task gets that names the spread alone
+    assert np.array_equal(error, posture_error(q, Noise(0.0, 0.0, 0.0, 0, 0, torque_pose_std=0.4)))
     assert (size[[1, 3, 5]] > 0.28).all() and (size[[1, 3, 5]] < 0.52).all() and (size[[0, 2]] < 0.2).all()
     turned = q + np.eye(7)[0] * 0.7
     assert np.allclose(posture_error(turned, POSED), error)

@@ -6,9 +6,11 @@ import torch
 from frame_checks import from_above
 from texts import scene
 
+from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
 from vsfsim.generate.effectors.bubble import solve as solve_bubble
+from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius
@@ -56,6 +58,19 @@ def test_depth_of_a_body_in_a_block_at_rest(model, device, shape):
     # samples are half a radius apart, so that the lowest one of a round body is a quarter from its pole at most
     assert sunk - inner_radius(shape) / 32.0 <= inside[2] <= 1.05 * sunk
     assert inside[3] < 1e-9
+
+
+def test_what_is_behind_a_dent_past_its_rim_is_inside_a_membrane(device):
+    """A ball behind the tip of a dent of 40 mm, past the plane of the rim, is as deep as its far pole is away from the
+    tip; one in the dent is outside, and so is one beside the cone that closes the membrane."""
+    sheet = build_bubble(Bubble(nodes=200)).mesh
+    apex, u = int(sheet.points[:, 2].argmax()), np.zeros((*sheet.points.shape, 3))
+    u[apex, 2] = -0.04
+    check = Intrusion(sheet, RigidBodies(Sphere(0.001)), 0.005, device=device)
+    places = sheet.points[apex] + [[0.0, 0.0, -0.043], [0.0, 0.0, -0.02], [-0.017, -0.038, -0.055]]
+    u = torch.as_tensor(u.reshape(-1, 3), device=device)
+    depth = check.check(torch.arange(3, device=device), at(*places), u)[1].amax(dim=1)
+    assert depth.tolist() == pytest.approx([0.004, 0.0, 0.0], abs=5e-5)
 
 
 def test_a_ball_smaller_than_an_element_is_met_wherever_it_is(model, device):

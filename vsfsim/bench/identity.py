@@ -41,12 +41,12 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
     Raises:
         MethodError: a file of such a folder cannot be read; the name of a file is no text.
     """
-    folder = folder or os.getcwd()
-    here = Path(__file__).parent
-    out = {METHOD: method_sha256(name, folder),
+    folder, here = folder or os.getcwd(), Path(__file__).parent
+    files = files_of(name, folder)
+    out = {METHOD: files_sha256(files),
            SCORER: files_sha256({part: here / f"{part.replace('.', '/')}.py" for part in _SCORES})}
     named = named_files(dict(parameters), folder)
-    seen = {path.resolve() for path in (*named.values(), *files_of(name, folder).values())}
+    seen = {path.resolve() for path in (*named.values(), *files.values())}
     for path in map(Path.resolve, named_files(list(opened), folder).values()):
         if path not in seen:
             named[str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)] = path

@@ -135,8 +135,8 @@ def paired(one: Runs, other: Runs) -> Paired:
     n = len(names)
     if not n:
         return Paired(math.nan, math.nan, 0, math.nan, math.nan)
-    sides = [np.array([np.where(np.isfinite(of[name]), of[name], np.nanmean(of[name])) for name in names])
-             for of in (one, other)]
+    known = (np.stack([of[name] for name in names]) for of in (one, other))
+    sides = [np.where(np.isfinite(of), of, np.nanmean(of, axis=(1, 2), keepdims=True)) for of in known]
     least = [min((side.shape[axis] for side in sides if side.shape[axis] > 1), default=1) for axis in (1, 2)]
     left, right = (side[:, :least[0], :least[1]] for side in sides)
     d = left - right
