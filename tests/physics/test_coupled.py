@@ -69,7 +69,7 @@ def test_a_batch_gives_what_its_touches_give_alone(bubble, block, device):
     """The second one is approached in halves, alone: it meets what is there where it is, and what the first one met and
     stuck to stays as it was."""
     ways = np.concatenate([down(bubble.mesh.points[:, 2].max(), [-0.001, deep], x) for x, deep in (
-        (0.004, 0.002), (-0.03, 0.008))], axis=1)
+        (0.004, 0.002), (-0.03, 0.006))], axis=1)
     solver = CoupledSolver(block(1e5), bubble, friction=1.0, device=device,
                            options=dataclasses.replace(tiers.options("fem-coarse"), newton=5, halvings=1))
     both, alone = solver.run(ways), [solver.run(ways[:, k:k + 1]) for k in range(2)]
