@@ -84,7 +84,7 @@ def test_what_comes_nearer_than_is_looked_for_is_met_late(bubble, block, device,
     known = press(block(1e3), bubble, [0.004], 0.0, device)[1].force[0, 0, 2]
     monkeypatch.setattr("vsfsim.physics.solve.coupled._MARGIN", 0.02)
     late = press(block(1e3), bubble, [0.004], 0.0, device)[1].force[0, 0, 2]
-    assert late == pytest.approx(known, rel=0.02)
+    assert late == pytest.approx(known, rel=0.01)  # 0.6 % less; with no second solution none
 
 
 def test_the_way_to_first_contact(bubble, block):
@@ -99,9 +99,8 @@ def test_a_slack_skin_is_felt_or_its_frames_are_marked(block, device):
     millimetres may not be missed."""
     sensor = build_bubble(Bubble(nodes=100, gauge_pressure=1.0))
     assert np.ptp(sensor.mesh.points[:, 2]) < 2e-5
-    solver = CoupledSolver(block(1e3), sensor, device=device,
-                           options=dataclasses.replace(tiers.options("fem-coarse"), seconds=1e9, cg_frame=20,
-                                                       newton_frame=4))
+    solver = CoupledSolver(block(1e3), sensor, device=device, options=dataclasses.replace(
+        tiers.options("fem-coarse"), seconds=1e9, cg_frame=20, newton_frame=4))
     frames = solver.run(down(0.0, (-0.002, 0.002, 0.004), 0.003, 0.002))
     pushed = np.nan_to_num(np.linalg.norm(frames.force[:, 0], axis=1))
     assert frames.converged[0, 0] and pushed[0] == 0.0
