@@ -67,7 +67,7 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
         assert len(said) == len(set(said)) and planned | set(said) <= known and not planned & set(said), task.name
         assert wanted <= planned | set(said), task.name
     assert "no row of fem-map, fem-map-seen: 0.7 and 1.7 CPU hours" in leaderboard.text(board)
-    assert "lab release --only bag-punyo-v1" in leaderboard.text(leaderboard.collect(load_task("bag-punyo-v1")))
+    assert "lab release --only bag-punyo-v1" in ", ".join(rows.absent("bag-punyo-v1", ()).values())
 
 
 def test_a_release_costs_at_most_a_day_and_audits_every_task():
