@@ -1,3 +1,5 @@
+import functools
+
 import pytest
 import texts
 
@@ -6,15 +8,20 @@ from vsfsim.generate.run import generate
 from vsfsim.generate.workers import make_one
 
 
-@pytest.fixture
-def here(monkeypatch):
-    """Views are made in this process, one after the other."""
+def make_here(patch):
+    """Views are made in this process, one after the other: a new one imports the libraries for seconds."""
     def make_each(jobs, *, device, **_):
         for job in jobs:
             make_one(job, device)
             yield job.name
 
-    monkeypatch.setattr("vsfsim.generate.on_solids.make_each", make_each)
+    for module in ("on_solids", "effectors.arm"):
+        patch.setattr(f"vsfsim.generate.{module}.make_each", make_each)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    make_here(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -30,9 +37,12 @@ def loaded(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def generated(loaded):
-    """Makes the dataset of such a scene in this process."""
+    """Makes the dataset of such a scene in this process, once for all tests of it."""
+    @functools.cache
     def make(*scene, **values):
         found = loaded(*scene, **values)
-        return generate(found, found.path.parent / "data", workers=1)
+        with pytest.MonkeyPatch.context() as patch:
+            make_here(patch)
+            return generate(found, found.path.parent / "data")
 
     return make

@@ -41,13 +41,13 @@ def test_a_full_disk_is_no_damage(tmp_path, monkeypatch):
 
 
 def test_generate_takes_the_bytes_of_a_folder_or_an_address(generated, loaded, tmp_path, monkeypatch):
-    made, said = generated("tiny"), []
+    made, said = generated("sprung", count=1), []
     file = export(made.path, "archive", tmp_path)
     for name, place in (("folder", str(tmp_path)), ("address", f"file://{tmp_path}")):
         monkeypatch.setenv("VSFSIM_ARCHIVES", place)
-        generate(loaded("tiny"), tmp_path / name, note=said.append)
+        generate(loaded("sprung", count=1), tmp_path / name, note=said.append)
         assert f"{tmp_path / name} is unpacked from {place}/{file.name}" in said
         assert contents(tmp_path / name) == contents(made.path)
     export(written(tmp_path / "other").path, "archive", tmp_path / "other").rename(file)
     with pytest.raises(DatasetError, match="not taken: it holds another dataset, of scene mock"):
-        generate(loaded("tiny"), tmp_path / "new")
+        generate(loaded("sprung", count=1), tmp_path / "new")

@@ -21,7 +21,7 @@ def scene(loaded):
 
 @pytest.fixture(scope="module")
 def made(generated):
-    """The dataset made without a break by one worker, in this process' call."""
+    """The dataset made without a break, in this process."""
     return generated("tiny")
 
 
@@ -73,11 +73,11 @@ def test_two_workers_give_the_same_bits(made, scene, tmp_path):
     assert contents(tmp_path / "two") == contents(made.path)
 
 
-def test_another_seed_gives_another_dataset_and_more_objects_and_views_keep_the_first(made, scene, tmp_path):
-    other = generate(scene, tmp_path / "seed", seed=1, objects=1, workers=1)
+def test_another_seed_gives_another_dataset_and_more_objects_and_views_keep_the_first(made, scene, tmp_path, here):
+    other = generate(scene, tmp_path / "seed", seed=1, objects=1)
     assert other.entries[0].sha256 != made.entries[0].sha256
     assert other.load("tiny-0000-v0").truth.young_modulus.min() != made.load("tiny-0000-v0").truth.young_modulus.min()
-    again = generate(scene, tmp_path / "first", objects=1, views=3, workers=1)
+    again = generate(scene, tmp_path / "first", objects=1, views=3)
     # the camera goes round the object counter-clockwise, a third of a turn a view
     turned = np.unwrap([np.arctan2(*v.view.camera_pose[1::-1, 2]) for v in again])
     assert np.diff(turned) == pytest.approx(2.0 * np.pi / 3.0)

@@ -1,7 +1,7 @@
 """Proof by addition: a new sensor is a package with an effector, a row of the schema and an observation.
 
 The package below, a load cell behind a rigid probe, is found through its entry points.
-`generate`, `verify`, `load`, `press`, `evaluate` and the baselines take it as it is.
+`generate`, `verify`, `load`, `press`, `evaluate` and a baseline take it as it is.
 """
 
 import importlib
@@ -162,14 +162,13 @@ def test_a_dataset_has_what_the_sensor_reads(made):
     assert said == {"units": "N", "dims": "T", "doc": "Force along the axis of the load cell.", "masked": True}
 
 
-def test_methods_are_scored_on_it(made):
+def test_a_method_is_scored_on_it(made):
     task = parse_task(text("weighed-v1"), "weighed-v1.toml")
-    results = {name: evaluate(name, task, made, check=False) for name in ("gaussian", "point-vsf")}
-    for result in results.values():
-        assert result.scores["rmse_ratio"]["3"].mean < 0.9, "of predicting nothing"
-        worst = max(sse / n for shot, run, n, sse in zip(*(result.queries[k] for k in (
-            "shot", "seed", "n", "sse"))) if (shot, run) == ("3", 0))
-        assert result.scores["worst_touch"]["3"].per_seed[0] == pytest.approx(worst**0.5)
+    result = evaluate("point-vsf", task, made, seeds=1, check=False)
+    assert result.scores["rmse_ratio"]["3"].mean < 0.9, "of predicting nothing"
+    worst = max(sse / n for shot, run, n, sse in zip(*(result.queries[k] for k in (
+        "shot", "seed", "n", "sse"))) if (shot, run) == ("3", 0))
+    assert result.scores["worst_touch"]["3"].per_seed[0] == pytest.approx(worst**0.5)
 
 
 def test_the_dataset_is_read_and_verified_without_the_package(made):

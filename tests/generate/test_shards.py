@@ -25,27 +25,27 @@ from vsfsim.generate.run import generate, make, planned
 
 @pytest.fixture(scope="module")
 def scene(loaded):
-    return loaded("tiny", count=1)
+    return loaded("sprung", count=1)
 
 
 @pytest.fixture(scope="module")
-def made(scene, tmp_path_factory):
-    return generate(scene, tmp_path_factory.mktemp("one") / "d", workers=1, objects=4)
+def made(generated):
+    return generated("sprung", count=1)
 
 
-def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp_path, here):
+def test_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp_path, here):
     out = tmp_path / "d"
-    for k in (2, 0, 3, 1):
-        found = make(planned(scene, out, objects=4, fan=Fan((k, 4))))
+    for k in (2, 0, 1):
+        found = make(planned(scene, out, fan=Fan((k, 3))))
         assert len(found.names) == 1 and found.dataset is None
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(out)
     assert found.unfinished == 0
-    line = json.loads((out / "manifest" / "tiny-0000-v0.json").read_text())
+    line = json.loads((out / "manifest" / "sprung-0000-v0.json").read_text())
     assert line["bytes"] == (out / line["file"]).stat().st_size and line["seed"] == 0 and line["made_on"]
-    assert make(planned(scene, out, objects=4)).dataset.sha256 == made.sha256
+    assert make(planned(scene, out)).dataset.sha256 == made.sha256
     assert contents(out) == contents(made.path) and verify(out).ok
-    assert "4 object views" in (out / "README.md").read_text()
+    assert "3 object views" in (out / "README.md").read_text()
 
 
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
@@ -58,18 +58,18 @@ def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, 
 
 
 def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path, here, monkeypatch):
-    make(planned(scene, tmp_path, objects=4, fan=Fan((0, 2))))
+    make(planned(scene, tmp_path, fan=Fan((0, 2))))
     monkeypatch.setattr(workers, "machine_kind", lambda *_: "another CPU")
     with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--allow mixed"):
-        make(planned(scene, tmp_path, objects=4, fan=Fan((1, 2))))
-    make(planned(scene, tmp_path, objects=4, allow=["mixed"], fan=Fan((1, 2))))
-    found = make(planned(scene, tmp_path, objects=4)).dataset
+        make(planned(scene, tmp_path, fan=Fan((1, 2))))
+    make(planned(scene, tmp_path, allow=["mixed"], fan=Fan((1, 2))))
+    found = make(planned(scene, tmp_path)).dataset
     assert {e.made_on for e in found.entries} == {made.entries[0].made_on, "another CPU"}
     assert found.sha256 == made.sha256 and verify(tmp_path).ok
     shutil.copytree(made.path, tmp_path / "finished")
     (tmp_path / "finished" / made.entries[1].file).unlink()
     with pytest.raises(DatasetError, match="this machine is 'another CPU'"):
-        generate(scene, tmp_path / "finished", objects=4)
+        generate(scene, tmp_path / "finished")
 
 
 def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made, tmp_path, here, monkeypatch):
@@ -78,17 +78,17 @@ def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made
 
     def make_view(self, job, **options):
         calls.append(job.name)
-        if job.name == "tiny-0001-v0":
+        if job.name == "sprung-0001-v0":
             raise RuntimeError("no luck")
         return real(self, job, **options)
 
     monkeypatch.setattr(type(probe), "make_view", make_view)
-    found = make(planned(scene, tmp_path / "d", objects=4, allow=["poison"]))
-    assert calls.count("tiny-0001-v0") == 2 and len(found.dataset) == 3 and verify(tmp_path / "d").ok
-    assert found.left_out == {"tiny-0001-v0": "RuntimeError: no luck"}
+    found = make(planned(scene, tmp_path / "d", allow=["poison"]))
+    assert calls.count("sprung-0001-v0") == 2 and len(found.dataset) == 2 and verify(tmp_path / "d").ok
+    assert found.left_out == {"sprung-0001-v0": "RuntimeError: no luck"}
     assert "no luck" in (tmp_path / "d" / "README.md").read_text()
-    again = make(planned(scene, tmp_path / "d", objects=4, allow=["poison"]))
-    assert again.left_out == found.left_out and len(calls) == 5, "what is finished is left"
+    again = make(planned(scene, tmp_path / "d", allow=["poison"]))
+    assert again.left_out == found.left_out and len(calls) == 4, "what is finished is left"
 
 
 def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, monkeypatch):
@@ -96,10 +96,10 @@ def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, mon
     monkeypatch.setenv("VSFSIM_FETCHED", str(tmp_path))
     url = f"memory://{tmp_path.name}/d"
     for k in range(2):
-        make(planned(scene, url, objects=4, fan=Fan((k, 2))))
+        make(planned(scene, url, fan=Fan((k, 2))))
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(url)
-    found = make(planned(scene, url, objects=4)).dataset
+    found = make(planned(scene, url)).dataset
     assert found.sha256 == made.sha256 and found.origin == url
     assert found[1].touches[0].force.tobytes() == made[1].touches[0].force.tobytes()
     assert sorted(Store(url).sizes()) == sorted(contents(made.path))
@@ -152,9 +152,9 @@ def test_words_that_a_job_cannot_have_are_refused(engine, word, message):
 def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim, kept, told):
     """The signal arrives at the worst moment: the file lies there and its line does not. Whatever is in it, it is made
     again; a view that was finished before is kept."""
-    words = ("generate", scene.path, "--out", "d", "--objects", 4)
+    words = ("generate", scene.path, "--out", "d")
     before, real = signal.getsignal(signal.SIGTERM), lines.put_line
-    files = [f"tiny-{k:04d}-v0.h5" for k in range(kept + 1)]
+    files = [f"sprung-{k:04d}-v0.h5" for k in range(kept + 1)]
 
     def put_line(store, entry, recipe):
         if entry.file == files[-1]:
@@ -169,8 +169,8 @@ def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkey
         signal.signal(signal.SIGTERM, before)
     assert stopped.returncode == 143 and told in stopped.stderr
     assert sorted(p.name for p in (tmp_path / "d").iterdir()) == ["dataset.part.json", "manifest", *files]
-    (tmp_path / "d" / files[-1]).write_bytes((made.path / "tiny-0002-v0.h5").read_bytes())
-    assert vsfsim(*words, cwd=tmp_path).stdout.startswith("d: 4 object views, ")
+    (tmp_path / "d" / files[-1]).write_bytes((made.path / "sprung-0002-v0.h5").read_bytes())
+    assert vsfsim(*words, cwd=tmp_path).stdout.startswith("d: 3 object views, ")
     assert contents(tmp_path / "d") == contents(made.path)
 
 

@@ -15,7 +15,7 @@ from vsfsim.core.shelf import find_scene, find_task
 from vsfsim.data.hdf5 import encode_view, read_view
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants.subject import prepare_job
-from vsfsim.generate.plants.touches import make_together, make_view
+from vsfsim.generate.plants.touches import finish_touches, make_together, make_view, solve
 from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.recipe import make_recipe
 
@@ -63,8 +63,8 @@ def test_a_touch_ends_before_its_force_limit_on_the_straight_line(scene_file, tm
     text = scene_file.text.replace("force_limit = 40.0", "force_limit = 3.0")
     recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3)
     job = jobs_of(recipe, scene_file.path, tmp_path)[0]
-    touches, aims, short = make_view(job, device="cpu").touches, prepare_job(job, device="cpu").aims, 0
-    for touch, a in zip(touches, aims, strict=True):
+    subject, short = prepare_job(job, device="cpu"), 0
+    for touch, a in zip(finish_touches(subject, solve([subject], device="cpu")), subject.aims, strict=True):
         assert np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
         off = touch.mount_pose[:, :3, 3] - a.target
         assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() <= 1e-5, "as `straight_touch` says"
@@ -75,7 +75,8 @@ def test_a_touch_ends_before_its_force_limit_on_the_straight_line(scene_file, tm
 def test_the_same_job_gives_the_same_bits_and_another_view_another_turn(made, prepared):
     _, view, job = made
     fewer = dataclasses.replace(job, recipe=dataclasses.replace(job.recipe, touches=1))
-    (again,) = make_view(fewer, device="cpu").touches
+    subject = prepare_job(fewer, device="cpu")
+    (again,) = finish_touches(subject, solve([subject], device="cpu"))
     assert np.array_equal(view.touches[0].torque, again.torque, equal_nan=True), "its touch is the first of more"
     other = prepare_job(dataclasses.replace(fewer, view_index=0, name="other"), device="cpu")
     # two views: half a turn

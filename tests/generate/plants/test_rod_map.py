@@ -8,25 +8,27 @@ import numpy as np
 import pytest
 from texts import changed
 
-import vsfsim
 from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.data.dataset import Dataset
+from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants.rod_map import fitted, held, with_classes
 from vsfsim.generate.plants.skeleton import displaced
 from vsfsim.generate.plants.subject import outline
+from vsfsim.generate.plants.touches import make_view
+from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.resim import named_job
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Two small plants of one kind, touched six times each."""
+    """The recipe of two small plants of one kind, and the first of them, touched six times."""
     folder = tmp_path_factory.mktemp("plants")
     scene = folder / "small.toml"
     scene.write_text(changed(find_scene("plants-v5-mini").read_text(), plant='"orange-tree"', wood_segments=40,
                              leaf_segments=40, frames="{ free = 1, in = 8, hold = 0, out = 0 }", reject_below=0.0))
-    vsfsim.generate(scene, out=folder / "data", objects=2, touches=6, seed=1)
-    return Dataset.open(folder / "data"), folder
+    recipe = make_recipe(load_scene(scene), objects=2, touches=6, seed=1)
+    return recipe, make_view(jobs_of(recipe, scene, folder)[0], device="cpu"), folder
 
 
 def asked(view):
@@ -43,29 +45,27 @@ def error(found, view):
 
 
 def test_the_true_plant_leaves_nothing_and_a_displaced_one_does(made, monkeypatch):
-    data, folder = made
+    recipe, view, folder = made
     monkeypatch.chdir(folder)
-    view = data.load(data.entries[0].name)
     plans, _ = asked(view)
-    errors = [error(fitted(data.recipe, view.name, plans, moduli="true", jitter=jitter), view)
+    errors = [error(fitted(recipe, view.name, plans, moduli="true", jitter=jitter), view)
               for jitter in (0.0, 0.02)]
     assert errors[0] < 1e-6 and errors[1] > 0.02
 
 
 def test_touches_of_a_plant_with_other_moduli_are_learned_from(made, monkeypatch):
-    data, folder = made
+    recipe, view, folder = made
     monkeypatch.chdir(folder)
-    view = data.load(data.entries[0].name)
     plans, readings = asked(view)
-    before, after = (error(fitted(data.recipe, view.name, plans, support=some), view) for some in ([], readings[:3]))
-    own = error(fitted(data.recipe, view.name, plans, moduli="own"), view)
+    before, after = (error(fitted(recipe, view.name, plans, support=some), view) for some in ([], readings[:3]))
+    own = error(fitted(recipe, view.name, plans, moduli="own"), view)
     assert after < max(0.7 * before, 1.2 * own)
 
 
 def test_cores_change_with_their_segments_and_blades_stay_across_them(made, monkeypatch):
-    data, folder = made
+    recipe, view, folder = made
     monkeypatch.chdir(folder)
-    plant = outline(named_job(data.recipe, data.entries[0].name)).plant
+    plant = outline(named_job(recipe, view.name)).plant
     double = with_classes(plant, np.log(2.0 * np.array([plant.young_modulus[1:][plant.region[1:] == k].mean()
                                                         if (plant.region[1:] == k).any() else 1.0
                                                         for k in range(len(plant.region_names))])))
@@ -76,11 +76,10 @@ def test_cores_change_with_their_segments_and_blades_stay_across_them(made, monk
     assert displaced(plant, 0.0, np.random.default_rng(0)) is plant
 
 
-def test_what_it_cannot_do_is_refused(made, generated, monkeypatch):
-    data, folder = made
-    solid = generated("sprung")
+def test_what_it_cannot_do_is_refused(made, loaded, monkeypatch):
+    recipe, view, folder = made
     with pytest.raises(SceneError, match="rod-map bends plants"):
-        fitted(solid.recipe, solid.entries[0].name, [])
+        fitted(make_recipe(loaded("sprung")), "sprung-0000-v0", [])
     monkeypatch.chdir(folder)
     with pytest.raises(SceneError, match="moduli"):
-        fitted(data.recipe, data.entries[0].name, [], moduli="known")
+        fitted(recipe, view.name, [], moduli="known")
