@@ -136,7 +136,7 @@ def test_a_script_without_a_main_guard_can_use_workers(tmp_path):
 from vsfsim.generate.workers import process_pool, submit
 import math
 print("begins")
-with process_pool(2, 2) as pool:
+with process_pool(1, 1) as pool:
     print([submit(pool, math.sqrt, x).result() for x in (4.0, 9.0)], __file__[-9:])
 """)
     out = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path)

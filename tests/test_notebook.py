@@ -6,7 +6,11 @@ import json
 import nbformat
 import pytest
 from pages import ROOT, TUTORIAL, named
+from texts import changed
 
+SMALLER = {"resolution = 0.006": "resolution = 0.012", "objects = 4": "objects = 2", "seeds = 3": "seeds = 1",
+           "train = 2, test = 2": "train = 1, test = 1", "count = 8": "count = 6", "touches = 8": "touches = 6"}
+"""What the cells have, and what runs in its place: the same steps in a third of the time."""
 PATH = ROOT / "docs" / "notebooks" / "first_hour.ipynb"
 
 
@@ -26,8 +30,8 @@ def held(folder):
 def test_its_cells_run_one_after_the_other(notebook, tmp_path, monkeypatch):
     """In this process, as a notebook would run them: the value of a cell's last line is shown."""
     monkeypatch.chdir(tmp_path)
-    names, shown = {}, []
-    for source in (cell.source for cell in notebook.cells if cell.cell_type == "code"):
+    names, shown, cells = {}, [], "\0".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    for source in changed(cells, *SMALLER.items()).split("\0"):
         if source.startswith("%%writefile "):
             first, _, text = source.partition("\n")
             (tmp_path / first.split()[1]).write_text(text + "\n")

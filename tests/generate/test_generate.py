@@ -115,3 +115,4 @@ def test_a_worker_that_fails_says_why_though_others_are_called_off(loaded, tmp_p
     blocked = loaded("tiny", ("sphere = 0.01", "sphere = 0.3"), ("[camera]", "[camera]\nelevation = 0.0"))
     with pytest.raises(SceneError, match="no target of 200 can be reached"):
         generate(blocked, tmp_path / "data", objects=5, workers=1)
+    assert not (tmp_path / "data").exists(), "nothing was made, and nothing is left"

@@ -148,7 +148,8 @@ def broken(kind):
 def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     mesh, word = broken(kind)
     mesh.export(tmp_path / "b.ply")
-    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0))
+    surface = read_surface(MeshFile(str(tmp_path / "b.ply"), 1.0))
+    grid = bake(surface.vertices, surface.faces, spacing=RADIUS / 16, notes=surface.notes)
     assert any(word in note for note in grid.notes), grid.notes
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
     x = shell(4000, 0.0, 0.035)[0]

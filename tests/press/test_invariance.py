@@ -43,7 +43,7 @@ CASES = {
     "linear": Case("linear"), "linear, friction": Case("linear", SLANTED, 0.5),
     "coarse, friction": Case("fem-coarse", SLANTED, 0.5), "fem, friction": Case("fem", SLANTED, 0.5),
     "fine, friction": Case("fem-fine", SLANTED, 0.5), "layer": Case("fem-coarse", SLANTED, parts=LAYER),
-    "parts": Case("linear", parts=PARTS), "large parts": Case("fem-coarse", SLANTED, parts=PARTS),
+    "parts": Case("fem-coarse", SLANTED, parts=PARTS),
     "capsule": Case("fem-coarse", HIGHER, probe=("capsule", 0.008, 0.02)),
     "capsule, friction": Case("fem-coarse", HIGHER, 0.5, ("capsule", 0.008, 0.02)),
     "punch": Case("linear", LOWER, probe=("box", 0.02, 0.016, 0.02)),

@@ -220,10 +220,10 @@ def test_of_a_methods_package_sources_are_run_and_pipes_lead_nowhere(one_trial, 
 def test_memory_processes_and_files_are_limited_by_default(one_trial):
     with one_trial("hostile_methods:Greedy", Isolation("namespaces")) as make:
         for code, printed in (("x = bytearray(3 << 40)", "MemoryError"),
-                              ("[os.fork() or (time.sleep(60), os._exit(0)) for _ in range(100_000)]",
-                               "BlockingIOError"),
-                              ("[open(str(k), 'w').close() for k in range(1 << 17)]", "OSError"),
-                              ("open('/tmp/x', 'wb').write(bytes(3 << 30))", "OSError")):
+                              ("[os.posix_spawn('/bin/sleep', ['sleep', '60'], {}) for _ in range(600 + 32 * "
+                               "os.cpu_count())]", "BlockingIOError"),
+                              ("[os.mknod(str(k)) for k in range(1 << 17)]", "OSError"),
+                              ("os.posix_fallocate(os.open('/tmp/x', os.O_CREAT | os.O_RDWR), 0, 3 << 30)", "OSError")):
             make("0", CODE=code)
             assert make.log.read_text().split()[-1] == printed
 

@@ -39,7 +39,7 @@ def test_a_post_is_pushed_away_by_a_ball_that_comes_from_the_side(block):
 def test_a_ball_does_not_pass_through_a_plate_at_the_linear_tier(block):
     """50 mm down onto a plate of 3 mm in one frame. With friction it ended below, and read 0 N. Friction changes the
     force along the plate, by a hundredth that across it. Under a tighter limit than the tier's it came through, too."""
-    model = block((0.06, 0.06, 0.003), 0.006, young_modulus=1e5, fixed=(-0.06, -0.06, -1, -0.02, 0.06, 1))
+    model = block((0.06, 0.06, 0.003), 0.01, young_modulus=1e5, fixed=(-0.06, -0.06, -1, -0.02, 0.06, 1))
     poses, first = way((0.01, 0.0, 0.03), (0.01, 0.0, -0.02), 1)
     smooth, rough, tight = (
         Solver(model, Sphere(0.008), friction=friction, linear=True, options=options).run(poses, start=first)
