@@ -2,6 +2,8 @@
 stores it, and as rigid bodies for the solver, it is the same."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -161,3 +163,10 @@ def test_the_chain_of_a_dataset_is_the_arm(punyo):
     with pytest.raises(SceneError, match="the shape is 'chain'"):
         parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.1] }\nyoung_modulus = 1e5\n[probe]\nshape = '
                     '{ chain = {} }\n', "x.toml")
+
+
+def test_an_opengl_that_mujoco_cannot_load_is_named(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    made = subprocess.run([sys.executable, "-c", "from vsfsim.robot.arm import Arm; Arm()"], capture_output=True,
+                          text=True)
+    assert made.returncode and "MUJOCO_GL=nonsense" in (said := made.stderr.splitlines()[-1]) and "disable" in said

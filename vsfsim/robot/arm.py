@@ -13,12 +13,15 @@ a . (m + (p - o) x f); on the links before it they give none.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vsfsim.core.chain import Chain, ChainCapsule, capsule_pose
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Capsule
 from vsfsim.core.system.exact import product
 from vsfsim.robot import gen3
@@ -87,8 +90,7 @@ class Arm:
     """Upper bound on the distance from joint 2 to the tool [m]."""
 
     def __init__(self, *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None):
-        import mujoco
-
+        mujoco = _mujoco()
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
         spec = mujoco.MjSpec.from_file(str(gen3.MODEL))
         if not punyo:
@@ -194,9 +196,24 @@ def chain_of(arm: Arm) -> Chain:
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
     """w x y z (4,) of a rotation (3, 3), of the nearest one if it is rounded."""
-    import mujoco
-
     u, _, v = np.linalg.svd(rotation)
     out = np.zeros(4)
-    mujoco.mju_mat2Quat(out, np.ascontiguousarray(u @ v).ravel())
+    _mujoco().mju_mat2Quat(out, np.ascontiguousarray(u @ v).ravel())
     return out
+
+
+def _mujoco() -> ModuleType:
+    """MuJoCo, of which nothing is drawn here.
+
+    Raises:
+        VsfsimError: it cannot load the OpenGL that the environment asks it for.
+    """
+    try:
+        import mujoco
+    except ModuleNotFoundError:
+        raise
+    except Exception as error:  # of whatever kind the OpenGL's loader raises
+        raise VsfsimError(f"MuJoCo cannot load the OpenGL that MUJOCO_GL={os.environ.get('MUJOCO_GL')} asks it for: "
+                          f"{error}. vsfsim draws nothing with MuJoCo: unset MUJOCO_GL, or set it to 'disable'."
+                          ) from error
+    return mujoco

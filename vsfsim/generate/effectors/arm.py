@@ -105,8 +105,9 @@ class ArmEffector:
             plot={"size of the force [N]": {"force on the arm": size},
                   "joint torque of the contact [N m]": {f"joint {j + 1}": touch.torque[:, j]
                                                         for j in range(7)}},
-            abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
-            headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
+            abscissa="tool past its target [mm], below 0 before it", model=f"plant of {segments} segments",
+            headline=f"tool {1e3 * abs(depth[full]):.0f} mm {'past' if depth[full] >= 0.0 else 'before'} its target, "
+                     f"|force| {size[full]:.3g} N",
             panels=lambda t: (_panel(subject, q, frames, t),), arrays=_arrays(subject, q, frames))
 
     def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
