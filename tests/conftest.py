@@ -69,6 +69,28 @@ def vsfsim(capfd, monkeypatch):
 
 
 @pytest.fixture(scope="session")
+def make_here():
+    """Has views made in this process, one after the other: a new one imports the libraries for seconds."""
+    from vsfsim.generate.workers import make_one
+
+    def make_each(jobs, *, device, **_):
+        for job in jobs:
+            make_one(job, device)
+            yield job.name
+
+    def make(patch):
+        for module in ("on_solids", "effectors.arm"):
+            patch.setattr(f"vsfsim.generate.{module}.make_each", make_each)
+
+    return make
+
+
+@pytest.fixture
+def here(make_here, monkeypatch):
+    make_here(monkeypatch)
+
+
+@pytest.fixture(scope="session")
 def device(request):
     return request.config.getoption("--device")
 

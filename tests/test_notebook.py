@@ -27,7 +27,7 @@ def held(folder):
     assert score["all"] < score["0"], "touches help"
 
 
-def test_its_cells_run_one_after_the_other(notebook, tmp_path, monkeypatch):
+def test_its_cells_run_one_after_the_other(notebook, tmp_path, monkeypatch, here):
     """In this process, as a notebook would run them: the value of a cell's last line is shown."""
     monkeypatch.chdir(tmp_path)
     names, shown, cells = {}, [], "\0".join(cell.source for cell in notebook.cells if cell.cell_type == "code")

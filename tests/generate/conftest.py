@@ -5,23 +5,6 @@ import texts
 
 from vsfsim.core.scene import load_scene
 from vsfsim.generate.run import generate
-from vsfsim.generate.workers import make_one
-
-
-def make_here(patch):
-    """Views are made in this process, one after the other: a new one imports the libraries for seconds."""
-    def make_each(jobs, *, device, **_):
-        for job in jobs:
-            make_one(job, device)
-            yield job.name
-
-    for module in ("on_solids", "effectors.arm"):
-        patch.setattr(f"vsfsim.generate.{module}.make_each", make_each)
-
-
-@pytest.fixture
-def here(monkeypatch):
-    make_here(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +19,7 @@ def loaded(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def generated(loaded):
+def generated(loaded, make_here):
     """Makes the dataset of such a scene in this process, once for all tests of it."""
     @functools.cache
     def make(*scene, **values):

@@ -41,7 +41,7 @@ def test_layers_of_a_cylinder_are_cut_out_by_its_elements():
     """The second lies over the first, with 3 % of its thickness between them."""
     solid, modulus = body("{ box = [-1, -1, 0.010, 1, 1, 0.0112], value = 1e7 },"
                           "{ box = [-1, -1, 0.011236, 1, 1, 0.014], value = 1e6 }",
-                          shape="cylinder = [0.018, 0.024]", resolution=0.008)
+                          shape="cylinder = [0.009, 0.024]", resolution=0.008)
     volume = tet_volumes(solid.vertices, solid.tets)
     for value, height in ((1e7, 1.2), (1e6, 2.764), (1e4, 20.036)):
         assert volume[np.isclose(modulus[:, 0], value)].sum() == pytest.approx(volume.sum() * height / 24.0)
