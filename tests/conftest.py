@@ -74,15 +74,10 @@ def make_here():
     from vsfsim.generate.workers import make_one
 
     def make_each(jobs, *, device, **_):
-        for job in jobs:
-            make_one(job, device)
-            yield job.name
+        return (make_one(job, device) or job.name for job in jobs)
 
-    def make(patch):
-        for module in ("on_solids", "effectors.arm"):
-            patch.setattr(f"vsfsim.generate.{module}.make_each", make_each)
-
-    return make
+    return lambda patch: [patch.setattr(f"vsfsim.generate.{module}.make_each", make_each)
+                          for module in ("on_solids", "effectors.arm")]
 
 
 @pytest.fixture

@@ -77,9 +77,8 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     (("press", "fom.toml"), "there is no scene file (.toml) 'fom.toml'. Did you mean 'foam.toml'?"),
     (("press", "there/foam.toml"), "there is no folder 'there'"),
     (("press", "notes.txt"), "'notes.txt' is a file, not a scene file (.toml)."),
-    (("verify", "data/trry"),
-     "there is no folder of a dataset 'data/trry'. Did you mean "
-     "'data/try'?"), (("check", "mine.py:Mine"), "without .py: mine:Mine"),
+    (("verify", "data/trry"), "no folder of a dataset 'data/trry'. Did you mean 'data/try'?"),
+    (("check", "mine.py:Mine"), "without .py: mine:Mine"),
     (("check", "mine:Min"), "has no class 'Min'. Did you mean 'Mine'?"),
     (("lab", "score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v3-mini-v1", "--dataset",
       "data/try"),

@@ -106,11 +106,6 @@ def test_the_contract_is_tested_first(task, toy_dataset):
         evaluate("hostile_methods:NotPlain", task, toy_dataset)
 
 
-def test_workers_give_the_same_result(task, toy_dataset):
-    one, two = (evaluate("toy_methods:Seeded", task, toy_dataset, workers=n, seeds=2, check=False) for n in (1, 2))
-    assert one.queries == two.queries and one.scores == two.scores and one.answers == two.answers
-
-
 def test_what_a_method_learned_reaches_each_trial_as_a_copy(reported):
     found = reported("Learns", "0 5")
     assert len({pid for pid, _ in found}) == 2 and [learned for _, learned in found] == [0, 0]

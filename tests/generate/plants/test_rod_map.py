@@ -28,7 +28,9 @@ def made(tmp_path_factory):
     scene.write_text(changed(find_scene("plants-v5-mini").read_text(), plant='"orange-tree"', wood_segments=40,
                              leaf_segments=40, frames="{ free = 1, in = 8, hold = 0, out = 0 }", reject_below=0.0))
     recipe = make_recipe(load_scene(scene), objects=2, touches=6, seed=1)
-    return recipe, make_view(jobs_of(recipe, scene, folder)[0], device="cpu"), folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield recipe, make_view(jobs_of(recipe, scene, folder)[0], device="cpu")
 
 
 def asked(view):
@@ -44,27 +46,24 @@ def error(found, view):
     return float(np.sqrt(((told - true)**2).sum() / (true**2).sum()))
 
 
-def test_the_true_plant_leaves_nothing_and_a_displaced_one_does(made, monkeypatch):
-    recipe, view, folder = made
-    monkeypatch.chdir(folder)
+def test_the_true_plant_leaves_nothing_and_a_displaced_one_does(made):
+    recipe, view = made
     plans, _ = asked(view)
     errors = [error(fitted(recipe, view.name, plans, moduli="true", jitter=jitter), view)
               for jitter in (0.0, 0.02)]
     assert errors[0] < 1e-6 and errors[1] > 0.02
 
 
-def test_touches_of_a_plant_with_other_moduli_are_learned_from(made, monkeypatch):
-    recipe, view, folder = made
-    monkeypatch.chdir(folder)
+def test_touches_of_a_plant_with_other_moduli_are_learned_from(made):
+    recipe, view = made
     plans, readings = asked(view)
     before, after = (error(fitted(recipe, view.name, plans, support=some), view) for some in ([], readings[:3]))
     own = error(fitted(recipe, view.name, plans, moduli="own"), view)
     assert after < max(0.7 * before, 1.2 * own)
 
 
-def test_cores_change_with_their_segments_and_blades_stay_across_them(made, monkeypatch):
-    recipe, view, folder = made
-    monkeypatch.chdir(folder)
+def test_cores_change_with_their_segments_and_blades_stay_across_them(made):
+    recipe, view = made
     plant = outline(named_job(recipe, view.name)).plant
     double = with_classes(plant, np.log(2.0 * np.array([plant.young_modulus[1:][plant.region[1:] == k].mean()
                                                         if (plant.region[1:] == k).any() else 1.0
@@ -76,10 +75,9 @@ def test_cores_change_with_their_segments_and_blades_stay_across_them(made, monk
     assert displaced(plant, 0.0, np.random.default_rng(0)) is plant
 
 
-def test_what_it_cannot_do_is_refused(made, loaded, monkeypatch):
-    recipe, view, folder = made
+def test_what_it_cannot_do_is_refused(made, loaded):
+    recipe, view = made
     with pytest.raises(SceneError, match="rod-map bends plants"):
         fitted(make_recipe(loaded("sprung")), "sprung-0000-v0", [])
-    monkeypatch.chdir(folder)
     with pytest.raises(SceneError, match="moduli"):
         fitted(recipe, view.name, [], moduli="known")
