@@ -23,7 +23,6 @@ def held(folder):
     """What every way through the notebook must have made: a result of its method, to which touches help."""
     result = json.loads((folder / "results" / "blocks-v1" / "near-springs.json").read_text())
     score = {shot: row["mean"] for shot, row in result["scores"]["rmse"].items()}
-    print(score)
     assert score["all"] < score["0"], "touches help"
 
 

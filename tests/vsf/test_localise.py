@@ -58,7 +58,6 @@ def test_registration_recovers_a_rigid_motion(trial_seed):
     other = KnownObject.of(*wedge(), seed=5 + trial_seed).surface
     found = [register(known.surface, other @ truth[:3, :3].T + truth[:3, 3], seed=3 * trial_seed + s) for s in range(3)]
     shift, turn = pose_errors(min(found, key=lambda f: f[1])[0], truth)
-    print(f"errors: {1000 * shift:.2f} mm, {turn:.4f} rad")
     assert shift < 0.002 and turn < 0.06
 
 
