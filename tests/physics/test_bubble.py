@@ -186,19 +186,6 @@ def test_extremes_converge(change, depth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("nodes", [100, 20_000])
-def test_meshes_from_100_to_20000_nodes(nodes):
-    model = build_bubble(dataclasses.replace(REAL, nodes=nodes))
-    frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.010, 5), seconds=600.0)
-    sound(frames, model)
-    assert np.isfinite(frames.force).all()
-    if nodes == 20_000:
-        # the same press in 40 frames, whose steps are as long, gave 6.885 N; where it first touches is found to 0.2 mm
-        # here, 2 to 3 % of that
-        assert frames.force[-1, 0, 2] == pytest.approx(6.885, rel=0.04)
-
-
-@pytest.mark.slow
 def test_the_shape_of_a_free_dome_against_pre_stretch():
     """Gauge pressure over E h that brings the apex to 30.5 mm (a fit of another model to the real dome), and what is
     left of the shape."""
@@ -208,3 +195,17 @@ def test_the_shape_of_a_free_dome_against_pre_stretch():
         found[stretch] = punyo_rms(model)
         assert model.mesh.points[:, 2].max() == pytest.approx(30.5e-3, abs=0.2e-3)
     assert min(found, key=found.get) in (1.1, 1.2) and max(found.values()) < 1e-3
+
+
+@pytest.mark.slow
+def test_a_small_tip_on_finer_meshes():
+    """A ball of 3 mm, 10 mm deep: force and pressure fall towards those of the sheet as the triangles shrink."""
+    force = []
+    for nodes in (390, 1493, 6000):
+        model = build_bubble(dataclasses.replace(REAL, nodes=nodes))
+        frames, _, _, _ = pressed(model, Sphere(0.003), towards(model, 0.003, 0.010, 10), seconds=600.0)
+        sound(frames, model)
+        force.append(frames.force[-1, 0, 2])
+    assert force[0] > force[1] > force[2] and force[1] / force[2] < 1.1
+    # each halving of the edge takes at least two thirds of the error
+    assert (force[1] - force[2]) < 0.5 * (force[0] - force[1])
