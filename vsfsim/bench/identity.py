@@ -4,6 +4,7 @@ scorer."""
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 from collections.abc import Collection, Mapping
 from importlib import metadata
@@ -130,7 +131,11 @@ def package_of(name: str) -> tuple[str, str]:
     entry = methods().get(name)
     if entry is not None and entry.dist is not None:
         return entry.dist.name, entry.dist.version
-    top = _module(name).partition(".")[0]
+    return _installed(_module(name).partition(".")[0])
+
+
+@functools.cache  # a quarter of a second
+def _installed(top: str) -> tuple[str, str]:
     for package in metadata.distributions():  # metadata.packages_distributions() would read every list of files
         called = package.metadata["Name"] or ""
         if top in (package.read_text("top_level.txt") or called.replace("-", "_")).split():
