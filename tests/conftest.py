@@ -13,7 +13,14 @@ import pytest
 
 from vsfsim.core.solid import Solid
 
-WORKERS = 4  # processes at most: each holds a gigabyte and compiles for itself what is not in the cache yet
+WORKERS = 4  # processes at most: each holds a gigabyte
+KERNELS = """
+from vsfsim.core import scene, shelf
+from vsfsim.generate.effector import kernels_of
+from vsfsim.physics.runtime import compile_kernels
+names = "plants-v5-mini", "shoes-v3-mini", "shoes-v2-punyo-mini"
+compile_kernels([k for n in names for k in kernels_of(scene.load_scene(shelf.find_scene(n)).sample(0))], "cpu")
+"""
 
 
 def pytest_addoption(parser):
@@ -41,6 +48,7 @@ def pytest_cmdline_main(config):
         if cores > 1:
             options.numprocesses = min(cores + 1, WORKERS)
             options.dist = "loadfile"
+            subprocess.run([sys.executable, "-c", KERNELS], check=True)  # once, or every process would compile them
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from vsfsim.core.hexes import split_hexes
 from vsfsim.physics.linear.rest_factor import RestFactor
@@ -46,3 +47,8 @@ def rollers(model, held):
     factor, soft = (old and RestFactor(old.stiffness, free=free, points=model.mesh.points)
                     for old in (model.factor, model.soft_factor))
     return dataclasses.replace(model, free=free, factor=factor, soft_factor=soft)
+
+
+def some_slow(values, *slow):
+    """``values`` for `pytest.mark.parametrize`, of which ``slow`` are marked so."""
+    return [pytest.param(value, marks=[pytest.mark.slow] * (value in slow)) for value in values]

@@ -117,6 +117,7 @@ def test_the_default_folder_of_a_dataset_is_where_its_task_looks(monkeypatch):
     import vsfsim
     from vsfsim.core.scene import load_scene
 
+    monkeypatch.delenv("VSFSIM_DATASETS", raising=False)
     for root in ("datasets", "elsewhere"):
         if root == "elsewhere":
             monkeypatch.setenv("VSFSIM_DATASETS", root)

@@ -28,6 +28,7 @@ def held(folder):
 
 def test_its_cells_run_one_after_the_other(notebook, tmp_path, monkeypatch, here):
     """In this process, as a notebook would run them: the value of a cell's last line is shown."""
+    monkeypatch.delenv("VSFSIM_DATASETS", raising=False)
     monkeypatch.chdir(tmp_path)
     names, shown, cells = {}, [], "\0".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
     for source in changed(cells, *SMALLER.items()).split("\0"):

@@ -36,7 +36,7 @@ def test_a_view_without_a_solid_is_refused():
 @pytest.mark.slow
 def test_touches_tell_the_moduli(tmp_path):
     method = FemMapSeen(objects=1, presses=2, size=0.02, steps=3)
-    with pytest.raises(MethodError, match="no moduli yet"):
+    with pytest.raises(MethodError, match="learned nothing yet"):
         method.adapt(mock_view(0).view, [])
     view, task = mock_view(1), load_task("fewshot-shoes-v3-mini-v1")
     method.meta_fit([specimen(mock_view(0, split="train", touches=3), task)])

@@ -73,6 +73,7 @@ def test_two_workers_give_the_same_bits(made, scene, tmp_path):
     assert contents(tmp_path / "two") == contents(made.path)
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_dataset_and_more_objects_and_views_keep_the_first(made, scene, tmp_path, here):
     other = generate(scene, tmp_path / "seed", seed=1, objects=1)
     assert other.entries[0].sha256 != made.entries[0].sha256

@@ -76,6 +76,7 @@ def test_aims_lie_on_the_cloud_and_go_along_its_normal(model):
     assert faces == {"top", "side"}
 
 
+@pytest.mark.slow
 def test_the_path_never_goes_below_the_table(model):
     # targets near the foot of the block: a ball of 10 mm that comes from the side must stay 10 mm up
     found = aims(model, view(top=False), count=20)
@@ -103,6 +104,7 @@ def test_asking_for_more_keeps_the_first(model):
         assert a.depth == pytest.approx(b.depth, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_response_that_was_not_found_tells_no_depth(model, monkeypatch):
     """A touch of shoes-v2 has 29 kN in its first frame, which is no equilibrium: the mount stopped at first contact."""
     known, run = aims(model, view(), force_limit=0.4, count=4), Solver.run

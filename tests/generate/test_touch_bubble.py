@@ -146,6 +146,7 @@ def test_tilted_directions_fill_a_cone():
     assert np.abs((drawn - cosine[:, None] * axis).mean(axis=0)).max() < 0.03
 
 
+@pytest.mark.slow
 def test_the_force_limit_of_a_flat_wall():
     model = build_bubble(Bubble(nodes=390))
     depth = np.array([touch_bubble.depth_at(model, force) for force in (5.0, 20.0, 60.0)])

@@ -78,6 +78,7 @@ def test_a_contact_that_is_noticed_late_is_a_deeper_press_than_recorded():
         assert off == pytest.approx(np.tile(a.late * a.axis, (len(off), 1)), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_elements_of_each_touch_are_small_where_it_meets_the_object():
     # small strain is off by more than the mesh, as elements turn inside out
     rigid = {"mount_stiffness": None, "tier": '"fem-coarse"'}

@@ -68,6 +68,7 @@ def test_every_case_has_a_reference_and_the_five_were_no_part_of_a_fit():
         assert (file == "presses") == (cell.body != ("box", 0.1, 0.1, 0.05))  # S1's, on which constants were fitted
 
 
+@pytest.mark.slow
 def test_a_direct_solver_finds_the_equilibrium_of_this_one_on_a_round_body():
     """On the same curved tetrahedra, without the local indentation; linear ones of the same corners are stiffer."""
     pytest.importorskip("cvxopt")

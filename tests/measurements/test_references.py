@@ -53,6 +53,7 @@ def test_forces_are_the_gradient_of_the_energy_and_the_tangent_theirs(cell):
     assert np.linalg.norm(press.tangent(u, there) @ way[press.free] - change) < 2e-3 * np.linalg.norm(change)
 
 
+@pytest.mark.slow
 def test_a_small_press_is_that_of_hertz_and_a_flat_punch_that_of_sneddon():
     """On bodies over a hundred and 20 times as large as the contact."""
     hertz = Cell(("cylinder", 0.2, 0.2), ("sphere", 0.02), 4e-4, 0.3)

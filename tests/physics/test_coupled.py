@@ -78,6 +78,7 @@ def test_a_batch_gives_what_its_touches_give_alone(bubble, block, device):
         assert np.allclose(both.force[:, k], own.force[:, 0], atol=2e-3 * own.force[1, 0, 2])
 
 
+@pytest.mark.slow
 def test_what_comes_nearer_than_is_looked_for_is_met_late(bubble, block, device, monkeypatch):
     """Rubber of 1 kPa bulges towards the skin by more than 0.6 mm in a step: what is met there is found in equilibrium,
     and the touch is solved again with it."""
@@ -94,6 +95,7 @@ def test_the_way_to_first_contact(bubble, block):
     assert free_way(block(1e5), bubble, pose, np.array([0.0, 0.0, -1.0])) == np.inf
 
 
+@pytest.mark.slow
 def test_a_slack_skin_is_felt_or_its_frames_are_marked(block, device):
     """At 1 Pa the dome is 5 um high: its height says nothing about how far it moves, and a block that it enters by
     millimetres may not be missed."""

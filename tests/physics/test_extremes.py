@@ -81,12 +81,10 @@ def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
 # ------------------------------------------------------------------------------------------ depth
 
 
-@pytest.mark.parametrize(("nu", "tenths", "least"), [
-    (0.0, 4, 4), (0.45, 4, 4), *(pytest.param(*row, marks=pytest.mark.slow)
-                                 for row in ((0.0, 8, 6), (0.3, 8, 7), (0.45, 8, 8)))])
-def test_tenths_of_the_thickness(device, nu, tenths, least):
+@pytest.mark.parametrize(("nu", "least"), [(0.0, 6), (0.3, 7), (0.45, 8)])
+def test_tenths_of_the_thickness(device, nu, least):
     """A frame that converged has the probe outside, pushed back the way it came, and no inverted element."""
-    frames = press(body(nu=nu), np.linspace(0.1, 0.1 * tenths, tenths), device)
+    frames = press(body(nu=nu), np.linspace(0.1, 0.8, 8), device)
     good = frames.converged[:, 0]
     # with little of Poisson's effect little moves aside, and the last frames squeeze elements to nothing: those may be
     # marked

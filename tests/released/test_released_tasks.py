@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from frame_checks import some_slow
 
 from vsfsim.bench.admission.admit import differences
 from vsfsim.bench.admission.fingerprint import make_record, shipped_record
@@ -59,14 +60,8 @@ def view_made_again(task, name, touches):
     return effector_of(job.scene()).make_view(job, device="cpu"), recipe
 
 
-def marks(name):
-    """Of a task's tests."""
-    if name in SLOW or load_task(name).protocol.folds:
-        return pytest.mark.slow
-    return ()
-
-
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=marks(name)) for name in RELEASED])
+@pytest.fixture(scope="module", params=some_slow(RELEASED, *SLOW, *(
+    name for name in RELEASED if load_task(name).protocol.folds)))
 def released(request, tmp_path_factory):
     """A released task, the shipped row, and a dataset of the row's first test object alone, made again."""
     task = load_task(request.param)

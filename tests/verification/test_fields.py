@@ -149,6 +149,7 @@ def random_modulus(seed=3, correlation=0.012, spread=1.0):
     return lambda x: 1e5 * np.exp(spread * np.sqrt(2.0 / 60) * np.cos(x @ k.T + phase).sum(axis=-1))
 
 
+@pytest.mark.slow
 def test_one_random_field_gives_one_force_on_three_meshes(line, device):
     """E over two decades, correlated over 12 mm, pressed 10 % by a plane: cells of 12.5, 8.3 and 6.25 mm."""
     size, modulus = (0.05, 0.05, 0.025), random_modulus()

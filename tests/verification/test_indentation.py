@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from frame_checks import rollers
+from frame_checks import rollers, some_slow
 
 import references
 from vsfsim.core.scene import load_scene
@@ -54,8 +54,7 @@ def errors(force, reference):
     return np.abs(found / expected - 1.0)
 
 
-every_tier = pytest.mark.parametrize("tier", ["fem-coarse", *(pytest.param(tier, marks=pytest.mark.slow)
-                                                              for tier in ("fem", "fem-fine"))])
+every_tier = pytest.mark.parametrize("tier", some_slow(("fem-coarse", "fem", "fem-fine"), "fem", "fem-fine"))
 
 
 @every_tier
@@ -93,8 +92,6 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
     frames = Solver(rollers(model, held), Sphere(0.02), device=device).run(poses)
     assert frames.converged.all()
     force = 4.0 * frames.force[-1, 0, 2]
-    print(f"Hertz: {force:.5f} N, {force / HERTZ - 1:+.2%}; {len(model.mesh.tets)} tets, "
-          f"{frames.seconds.mean():.1f} s a frame")
     # observed +0.84 %: cells that grow 1.8-fold are stiff by about that much; the law differs from the linear one by a
     # fraction of the strain d / a = 7 %, and the correction is a truncated series
     assert force == pytest.approx(HERTZ, rel=0.02)
@@ -107,17 +104,14 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
 # law.
 
 
-@pytest.mark.parametrize(("tier", "tolerance"), [
-    # the contact is 30 mm wide here and every tier resolves it
-    ("fem-coarse", 0.02), pytest.param("fem", 0.015, marks=pytest.mark.slow),
-                                                 pytest.param("fem-fine", 0.01, marks=pytest.mark.slow)])
+# the contact is 30 mm wide here and every tier resolves it
+@pytest.mark.slow
+@pytest.mark.parametrize(("tier", "tolerance"), [("fem-coarse", 0.02), ("fem", 0.015), ("fem-fine", 0.01)])
 def test_fifteen_millimetres_into_the_homogeneous_block(line, device, tier, tolerance):
     scene = load_scene(find_scene("indent-homogeneous")).sample(0)
     model = tiers.build(scene, tier, focus=np.array([[0.0, 0.0, 0.045]]))
     frames = Solver(model, scene.probe, device=device, options=tiers.options(tier)).run(
         line([[0, 0, 0.07 - d] for d in (0.005, 0.010, 0.015)], scene.probe),
         start=line([[0, 0, 0.07]], scene.probe)[0])
-    print(f"{tier}: {frames.force[:, 0, 2]} N, {frames.force[-1, 0, 2] / S1_DEEP - 1:+.2%}, "
-          f"{len(model.mesh.tets)} tets, {frames.seconds.mean():.1f} s a frame")
     assert frames.converged.all() and frames.min_det_f.min() > 0.5
     assert frames.force[-1, 0, 2] == pytest.approx(S1_DEEP, rel=tolerance)

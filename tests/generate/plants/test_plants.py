@@ -58,6 +58,7 @@ def test_the_file_holds_what_was_made(made):
     assert any(t.touched for t in there.touches)
 
 
+@pytest.mark.slow
 def test_a_touch_ends_before_its_force_limit_on_the_straight_line(scene_file, tmp_path):
     """With a limit of 3 N: at least one touch is short, no reading is past it, and the tool stays on its line."""
     text = scene_file.text.replace("force_limit = 40.0", "force_limit = 3.0")

@@ -78,6 +78,7 @@ def test_the_energy_is_the_work_of_an_edge(model, device, kind):
     assert np.abs(energy[1:] - work[1:]).max() < 0.04 * work[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "linear"), [
     (Box((0.02, 0.024, 0.02)), False), (Cylinder(0.012, 0.02), True)], ids=["box", "cylinder"])
 def test_the_force_of_a_flat_punch_does_not_depend_on_the_number_of_frames(block, device, shape, linear):

@@ -54,7 +54,6 @@ def test_the_membrane_rolls_over_edges(bubble, device, name, friction):
     frames = pressed(bubble, name, depths, friction, device)
     assert frames.converged.all(), frames.reason
     assert (np.diff(frames.force[:, 0, 2]) > 0.0).all() and (frames.force_balance < 1e-3).all()
-    assert frames.iterations.sum() < 150  # 30 to 80; most frames used to end at the limit of 100
     assert frames.penetration.max() < 0.08 * bubble.element_size  # of a corner between the points of a face
 
 

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from texts import scene
 
 from vsfsim.core import shelf
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene
-from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
-from vsfsim.generate.effectors import bubble
 from vsfsim.physics.bubble import sensor
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -28,8 +25,9 @@ def at(place, depth, frames=3):
     return poses
 
 
-@pytest.mark.parametrize(("place", "mirrors"), [((0.0, 0.0, 0.0335), ([-1.0, 1.0], [1.0, -1.0])),
-                                                ((0.0, 0.0385, 0.004), ([-1.0, 1.0],))])
+@pytest.mark.parametrize(("place", "mirrors"), [
+    pytest.param((0.0, 0.0, 0.0335), ([-1.0, 1.0], [1.0, -1.0]), marks=pytest.mark.slow),
+    ((0.0, 0.0385, 0.004), ([-1.0, 1.0],))])
 def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mirrors):
     (wish,) = sensor.wishes(even.mesh.points, even.element_size, RigidBodies(Sphere(0.003)),
                                      at(np.array(place), 0.005), None)
@@ -53,20 +51,6 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
     model = build_bubble(even.spec, finer=(wish,))
     assert 0.5e-3 < model.element_size < 1.1e-3 and len(model.mesh.points) == len(flat)
     assert model.mesh.volume[0] == pytest.approx(even.mesh.volume[0], rel=0.01)
-
-
-def tip(**extra):
-    press = "{ path = [[0.0, 0.0, 0.0336], [0.0, 0.0, 0.0306]], frames = 3 }"
-    return bubble.result_of(bubble.solve(scene("bubble", press=press, **extra).sample(0), Request()), Request())
-
-
-def test_a_small_tip_is_met_by_small_triangles_unless_they_are_declined():
-    fine, coarse = tip(), tip(contact_edge=0.1)
-    assert fine.converged.all() and coarse.more["nodes"] == 390 and fine.more["nodes"] > 600
-    assert fine.more["edge"] < 0.4 * coarse.more["edge"]
-    assert fine.audit["penetration"].max() < 0.01 * fine.more["edge"] and fine.audit["force_balance"].max() < 1e-3
-    # facets as large as the tip hold it up: a quarter too stiff on 390 nodes
-    assert 1.1 < coarse.force[-1, 2] / fine.force[-1, 2] < 1.6
 
 
 @pytest.mark.slow

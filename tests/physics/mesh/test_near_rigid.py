@@ -20,6 +20,7 @@ def cube(factor):
     return values
 
 
+@pytest.mark.slow
 def test_the_force_of_a_turning_part_has_a_limit(block, line, device):
     """A ball presses beside a stiff cube, which turns. A contrast of 1e8 is pressed 8 mm deep, and
     its force is the limit of contrasts that are not limited."""

@@ -89,7 +89,8 @@ BALL = {"fixed": [-0.03, -0.03, -0.001, 0.03, 0.03, 0.012]}
 
 @pytest.mark.parametrize(("shape", "probe", "top", "radius"), [
     ("sphere = 0.02", "plane = true", 0.04, 0.02), ("sphere = 0.02", "sphere = 0.02", 0.06, 0.01),
-    ('mesh = "ball.stl"', "plane = true", 0.04, 0.02)], ids=["plate on ball", "ball on ball", "plate on scan"])
+    pytest.param('mesh = "ball.stl"', "plane = true", 0.04, 0.02, marks=pytest.mark.slow)],
+                         ids=["plate on ball", "ball on ball", "plate on scan"])
 def test_contact_with_a_round_body_is_that_of_hertz_or_marked(shape, probe, top, radius, tmp_path, monkeypatch):
     """A ball of facets had 0.328 N for 0.469 under a plate, and an error of 5 % was told."""
     monkeypatch.chdir(tmp_path)
@@ -115,7 +116,8 @@ def crossed(radius, across, depth, nu=0.3):
 
 
 @pytest.mark.parametrize(("length", "radius", "ball", "resolution"), [
-    (0.03, 0.006, 0.01, None), (0.02, 0.006, 0.02, 0.0015)], ids=["rod", "rod of small elements"])
+    (0.03, 0.006, 0.01, None), pytest.param(0.02, 0.006, 0.02, 0.0015, marks=pytest.mark.slow)],
+                         ids=["rod", "rod of small elements"])
 def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, resolution):
     """Hertz's bodies are half-spaces. This one is held 1.6 radii below the contact, as a bonded layer is, which is
     stiffer, and its sides are free: its force lies between the two."""
@@ -148,8 +150,9 @@ def foam(beta):
 
 
 @pytest.mark.parametrize(("size", "body", "probe", "top", "depth", "exact", "unsure"), [
-    (BLOCK, FOAM, "sphere = 0.02", 0.07, 0.001, 1.374, 0.02), foam(0.0), foam(3.0),
-    (BLOCK, FOAM, "sphere = 0.02", 0.07, 0.005, 15.50, 0.02),
+    (BLOCK, FOAM, "sphere = 0.02", 0.07, 0.001, 1.374, 0.02),
+    *(pytest.param(*row, marks=pytest.mark.slow) for row in (
+        foam(0.0), foam(3.0), (BLOCK, FOAM, "sphere = 0.02", 0.07, 0.005, 15.50, 0.02))),
     (SLAB, COARSE, "capsule = [0.006, 0.012]", 0.036, 0.003, 4.29, 0.0),
     (SLAB, COARSE, "capsule = [0.006, 0.03]", 0.036, 0.001, 1.849, 0.0),
     ([0.06, 0.02, 0.0017], LAYER, "sphere = 0.02", 0.0217, 0.0005, 2.42, 0.01),
@@ -192,6 +195,7 @@ def test_a_scene_that_chose_no_tier_gets_one_that_follows_it(shape, body, probe,
     assert any("too far for small strain: tier 'fem' was taken" in note for note in free.notes)
 
 
+@pytest.mark.slow
 def test_supports_that_end_inside_elements_are_told():
     """A disc clamped across, 3 % too soft on elements of 6 mm: their nodes in the box end before it."""
     body = {"fixed": [-1.0, -1.0, -1.0, -0.01, 1.0, 1.0], "young_modulus": 1e6}

@@ -162,6 +162,7 @@ def test_walls_thinner_than_any_lattice_are_filled_by_ftetwild_once(
     assert np.array_equal(filled(hollow(0.0008), tmp_path).vertices, solid.vertices)
 
 
+@pytest.mark.slow
 def test_thin_walls_survive_a_coarse_fill(tmp_path: Path) -> None:
     """A hollow ball with walls of 3 mm, elements of 20 mm."""
     mesh = hollow(0.003)

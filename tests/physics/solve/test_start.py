@@ -23,6 +23,7 @@ def press(model, probe, start, stop, frames):
     return Solver(model, probe).run(poses, start=first)
 
 
+@pytest.mark.slow
 def test_a_post_is_pushed_away_by_a_ball_that_comes_from_the_side(block):
     """In one frame a ball of 4 mm from x = -12 mm to +3 mm was brought in from the other side, and pulled; in
     two frames on the way to +12 mm, too. A beam that is 12 mm aside 50 mm above its foot pushes back with
@@ -36,6 +37,7 @@ def test_a_post_is_pushed_away_by_a_ball_that_comes_from_the_side(block):
         assert few.force[-1, 0] == pytest.approx(many.force[-1, 0], rel=0.02, abs=0.02 * np.abs(many.force[-1]).max())
 
 
+@pytest.mark.slow
 def test_a_ball_does_not_pass_through_a_plate_at_the_linear_tier(block):
     """50 mm down onto a plate of 3 mm in one frame. With friction it ended below, and read 0 N. Friction changes the
     force along the plate, by a hundredth that across it. Under a tighter limit than the tier's it came through, too."""
@@ -67,7 +69,8 @@ def test_an_obstacle_in_the_way_holds_the_post(block):
 
 @pytest.mark.parametrize(("probe", "start", "stop", "linear"), [
     (Sphere(0.004), (-0.012, 0.001, 0.045), (0.003, 0.001, 0.045), True),
-    (Capsule(0.004, 0.02), (-0.012, 0.0, 0.05), (0.002, 0.003, 0.047), False)], ids=["ball", "capsule"])
+    pytest.param(Capsule(0.004, 0.02), (-0.012, 0.0, 0.05), (0.002, 0.003, 0.047), False,
+                 marks=pytest.mark.slow)], ids=["ball", "capsule"])
 def test_friction_does_not_depend_on_the_number_of_frames(block, probe, start, stop, linear):
     """A ball that pushed a post aside with friction 0.5 at the tier `linear` had 0.174 N upwards in one frame and 0.617
     N in eight."""

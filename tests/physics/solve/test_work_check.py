@@ -3,12 +3,14 @@
 import itertools
 
 import numpy as np
+import pytest
 from frame_checks import from_above
 
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.solve.touches import Solver
 
 
+@pytest.mark.slow
 def test_a_column_that_buckles_under_friction_is_not_called_converged(block, device):
     """A ball that sticks on a slender column: past the load of buckling it falls aside, and a third of its push and the
     energy between are gone. Cell bce3e6928d02 of the stability map did so without a mark."""
