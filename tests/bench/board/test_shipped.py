@@ -187,7 +187,7 @@ def make_folder(path):
 
 def test_a_release_says_what_it_makes(vsfsim, tmp_path):
     said = vsfsim("lab", "release", "--dry-run", "--only", "rope-punyo-v1", cwd=tmp_path).stdout
-    assert "neural-vsf.tuned" in said and "study rope" in said and "CPU hours, of which" in said
+    assert "grid-vsf.tuned" in said and "study rope" in said and "CPU hours, of which" in said
     wrong = vsfsim("lab", "release", "--dry-run", "--only", "rope-punyo", cwd=tmp_path)
     assert wrong.returncode == 2 and "Did you mean 'rope-punyo-v1'" in wrong.stderr
 
