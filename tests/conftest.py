@@ -18,7 +18,7 @@ KERNELS = """
 from vsfsim.core import scene, shelf
 from vsfsim.generate.effector import kernels_of
 from vsfsim.physics.runtime import compile_kernels
-names = "plants-v5-mini", "shoes-v3-mini", "shoes-v2-punyo-mini"
+names = "plants-v5-mini", "shoes-v3-mini", "shoes-v2-punyo-mini"; print("compiling kernels", flush=True)
 compile_kernels([k for n in names for k in kernels_of(scene.load_scene(shelf.find_scene(n)).sample(0))], "cpu")
 """
 
@@ -48,7 +48,7 @@ def pytest_cmdline_main(config):
         if cores > 1:
             options.numprocesses = min(cores + 1, WORKERS)
             options.dist = "loadfile"
-            subprocess.run([sys.executable, "-c", KERNELS], check=True)  # once, or every process would compile them
+            subprocess.run([sys.executable, "-c", KERNELS])  # once, not in every process
 
 
 @pytest.fixture

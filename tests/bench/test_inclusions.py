@@ -110,6 +110,8 @@ def test_a_pose_is_scored(dataset, task_text, tmp_path):
     assert wrong["rotation_error"]["all"].mean == pytest.approx((180.0 + abs(180.0 - between["rotation_error"])) / 2)
     with pytest.raises(MethodError, match="must be a rigid"):
         evaluate(f"{__name__}:Crooked", task, dataset, seeds=1, check=False)
+    assert "rotation_error" not in evaluate("toy_methods:Constant", task, dataset,
+                                            parameters={"value": 1.0}, seeds=1, check=False).scores
 
 
 class Crooked(Answers):

@@ -134,7 +134,7 @@ def package_of(name: str) -> tuple[str, str]:
     return _installed(_module(name).partition(".")[0])
 
 
-@functools.cache  # a quarter of a second
+@functools.cache  # a fifth of a second
 def _installed(top: str) -> tuple[str, str]:
     for package in metadata.distributions():  # metadata.packages_distributions() would read every list of files
         called = package.metadata["Name"] or ""

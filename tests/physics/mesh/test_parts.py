@@ -37,7 +37,6 @@ def test_a_box_inside_a_block_is_cut_out_by_its_elements(box, value, focus):
     assert solid.parts < 1e-6 and not [n for n in solid.notes if "Inclusion" in n]
 
 
-@pytest.mark.slow
 def test_layers_of_a_cylinder_are_cut_out_by_its_elements():
     """The second lies over the first, with 3 % of its thickness between them."""
     solid, modulus = body("{ box = [-1, -1, 0.010, 1, 1, 0.0112], value = 1e7 },"
@@ -62,7 +61,6 @@ def test_what_the_mesh_does_not_hold_is_told_with_its_share(part, least, words):
     assert finer.parts < coarse
 
 
-@pytest.mark.slow
 def test_a_thin_skin_around_an_inclusion_is_told():
     """2 mm of a stiff ball around a soft core: the core is off by 11 %, the skin by more than half."""
     core = "{ sphere = [0.0, 0.0, 0.03, 0.028], value = 1e1 }"
